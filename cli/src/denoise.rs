@@ -77,7 +77,7 @@ pub(crate) struct Args {
     /// Other renders of the same frame with other seeds, or patterns of such files: their mean is denoised, and they
     /// tell its noise. Everything else in the output is as in IN
     #[arg(value_name = "SEED")]
-    seeds: Vec<PathBuf>,
+    further: Vec<PathBuf>,
     /// File to write, or a folder for it [default: IN with the extension `.denoised.exr`]. Only this option can replace
     /// the input. For a shot: a pattern such as 'clean.####.exr', or a folder; no file that is read is replaced
     #[arg(short, long, value_name = "OUT")]

@@ -43,7 +43,7 @@ pub(crate) struct Args {
     input: Option<PathBuf>,
     /// Other renders of the same frame with other seeds, which are merged with IN
     #[arg(value_name = "SEED")]
-    seeds: Vec<PathBuf>,
+    further: Vec<PathBuf>,
     /// Column and row of the pixel, such as 120,64; 0,0 is the upper left of the data window
     #[arg(long, value_name = "X,Y", value_parser = pixel, required_unless_present = "list_devices")]
     pixel: Option<(u32, u32)>,
@@ -144,12 +144,15 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     }
     let method = args.filter.chosen()?.method;
     args.source.check(&method)?;
-    let request = args.source.for_method(&method).request(input, &args.seeds);
+    let request = args.source.for_method(&method).request(input, &args.further);
     if let Some(file) = &args.output {
         output::check(file, &[Format::OpenExr], request.files(), false, false)?;
     }
 
     let mut set = options::read(&request)?;
+    if let Some(file) = &args.output {
+        output::check_not_read(file, &set)?;
+    }
     let (frame, described) = settle_first(&mut set, args.source.require_noise);
     out.say(described.text(false));
     let frame = frame.map_err(|error| Failure::in_file(input, error))?;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use stein::text;
 use stein_exr::atomic_file::Aside;
 use stein_exr::picture_file::Format;
-use stein_exr::same_file;
+use stein_exr::{BufferSet, same_file};
 
 use super::Failure;
 
@@ -76,6 +76,20 @@ pub(crate) fn check_name<'a>(
         )));
     }
     Ok(())
+}
+
+/// Refuses an output that would replace a file that belongs to the input, such as one that was found beside it. The
+/// input itself may be replaced.
+pub(crate) fn check_not_read(output: &Path, set: &BufferSet) -> Result<(), Failure> {
+    let is_other = |file: &&Path| !same_file(file, set.input()) && same_file(file, output);
+    match set.files().find(is_other) {
+        None => Ok(()),
+        Some(other) => Err(Failure::output(format_args!(
+            "{}: is also read, as {}, and would be replaced\n  remedy: choose another name with -o",
+            text::path(output),
+            text::path(other)
+        ))),
+    }
 }
 
 /// Checks that the folder of the output can be written to.

@@ -42,7 +42,7 @@ pub(crate) struct Args {
     input: Option<PathBuf>,
     /// Other renders of the same frame with other seeds, which are merged with IN
     #[arg(value_name = "SEED")]
-    seeds: Vec<PathBuf>,
+    further: Vec<PathBuf>,
     /// Samples to distribute, per pixel on average, such as 16
     #[arg(long, value_name = "SPP", required_unless_present = "list_devices")]
     budget: Option<f64>,
@@ -130,11 +130,12 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         ));
     }
     args.source.check(&method)?;
-    let request = args.source.for_method(&method).request(input, &args.seeds);
+    let request = args.source.for_method(&method).request(input, &args.further);
     let file = args.output.clone().unwrap_or_else(|| input.with_extension("map.exr"));
     output::check(&file, &[Format::OpenExr], request.files(), false, false)?;
 
     let mut set = options::read(&request)?;
+    output::check_not_read(&file, &set)?;
     let (frame, described) = settle_first(&mut set, args.source.require_noise);
     out.say(described.text(false));
     let frame = frame.map_err(|error| Failure::in_file(input, error))?;

@@ -107,6 +107,14 @@ pub enum FileCause {
         /// The difference.
         reason: String,
     },
+    /// The file belongs to another frame or view than the input.
+    #[error("does not belong to {}: {reason}", text::path(of))]
+    OtherFrame {
+        /// The input.
+        of: PathBuf,
+        /// The difference.
+        reason: String,
+    },
     /// A feature to skip is not in the file.
     #[error("there is no feature '{}' to skip; it holds {layers}", text::name(name))]
     NoFeatureToSkip {
@@ -167,8 +175,10 @@ impl FileCause {
             Self::Unwritable { .. } => vec![Remedy::CheckFolder],
             Self::PipelinesNotKept { .. } => vec![Remedy::PipelineFolder],
             Self::NoParameters { .. } => vec![Remedy::NameParameters],
-            Self::NoColor { .. } | Self::SeveralColors { .. } => vec![Remedy::NameLayer],
+            Self::NoColor { .. } => vec![Remedy::WriteAs { form: "with channels R, G and B" }, Remedy::NameLayer],
+            Self::SeveralColors { .. } => vec![Remedy::NameLayer],
             Self::SeveralPictures { .. } => vec![Remedy::NameLayer],
+            Self::OtherFrame { .. } => vec![Remedy::RenderAlike],
             Self::NotASeed { .. } => vec![Remedy::GiveSeedsOfOneFrame],
             Self::NoFeatureToSkip { .. } => vec![Remedy::NameFeatureToSkip],
             Self::NoSampleCounts => vec![Remedy::WriteSampleCounts],

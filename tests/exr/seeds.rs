@@ -117,7 +117,10 @@ fn files_that_are_no_seeds_of_one_frame_are_refused() {
     // A feature that one seed lacks has no halves, and that is said.
     let set = merged(folder.path(), vec![render(1.0, 8), Part::new().with("", "RGBA", 2.0)]).unwrap();
     assert_eq!(set.features().next().unwrap().1.half_a, None);
-    assert!(note(&set, "diffuse").contains("of the input alone"), "{:?}", set.layer_uses());
+    for layer in ["albedo", "diffuse"] {
+        let is_said = |note: &String| note.contains(layer) && note.contains("of the input alone");
+        assert!(set.notes().iter().any(is_said), "{:?}", set.notes());
+    }
 }
 
 #[test]

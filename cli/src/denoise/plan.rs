@@ -34,8 +34,8 @@ pub(super) struct Read {
     /// Whether a colour without noise knowledge is refused.
     pub(super) require_noise: bool,
     pub(super) reference: Option<LayerRef>,
-    /// Whether the frame is denoised; if not, it only serves as a neighbour.
-    pub(super) is_denoised: bool,
+    /// File to write; `None` if the frame only serves as a neighbour.
+    pub(super) output: Option<PathBuf>,
 }
 
 /// A frame to denoise.
@@ -111,10 +111,10 @@ impl ShotPlan {
         let reference = args.reference.as_ref().map(|reference| source.reference(reference));
         let read = Read {
             number: None,
-            request: source.request(input, &args.seeds),
+            request: source.request(input, &args.further),
             require_noise: source.require_noise,
             reference,
-            is_denoised: true,
+            output: Some(output.clone()),
         };
         // The user may replace the input, and a half may be a layer of the input.
         output::check(&output, output::PICTURE, read.files().filter(|file| *file != input), args.no_clobber, args.dry_run)?;
@@ -135,6 +135,14 @@ impl ShotPlan {
                  \n  remedy: check the path, or the number of digits"
             )));
         }
+        let fixed = source.request(input, &args.further).seeds;
+        if let Some(seed) = fixed.iter().find(|seed| Pattern::of_input(seed).is_none()) {
+            return Err(Failure::usage(format_args!(
+                "{}: a shot is merged with another shot, not with one file\
+                 \n  remedy: give a pattern such as 'seed2.####.exr'",
+                text::path(seed)
+            )));
+        }
         let output_pattern = match &args.output {
             Some(output) if !output.is_dir() => Some(Pattern::parse(output).ok_or_else(|| {
                 let name = text::path(output);
@@ -145,16 +153,16 @@ impl ShotPlan {
             })?),
             _ => None,
         };
-        let read = |frame: u32, is_denoised: bool| Read {
+        let read = |frame: u32, output: Option<&PathBuf>| Read {
             number: Some(frame),
-            request: source.request(input, &args.seeds).map_files(|file| at_frame(file, frame)),
+            request: source.request(input, &args.further).map_files(|file| at_frame(file, frame)),
             require_noise: source.require_noise,
             reference: args
                 .reference
                 .as_ref()
-                .filter(|_| is_denoised)
+                .filter(|_| output.is_some())
                 .map(|reference| reference.map_file(|file| at_frame(file, frame))),
-            is_denoised,
+            output: output.cloned(),
         };
         // Neighbours are all frames with near numbers, whether the list has them or not: the result of a frame does not
         // depend on the list.
@@ -171,7 +179,7 @@ impl ShotPlan {
             };
             let mut state = if args.no_clobber && output.exists() { State::LeftAlone } else { State::ToDo };
             if let State::ToDo = state {
-                let read = read(frame, true);
+                let read = read(frame, Some(&output));
                 match read.missing() {
                     Some(file) => state = State::Missing(missing(frame, file)),
                     None => {
@@ -184,9 +192,9 @@ impl ShotPlan {
         }
         // Neighbours of which a file is missing are left out of the windows.
         for frame in beside {
-            reads.entry(frame).or_insert_with(|| read(frame, false));
+            reads.entry(frame).or_insert_with(|| read(frame, None));
         }
-        reads.retain(|_, read| read.is_denoised || read.missing().is_none());
+        reads.retain(|_, read| read.output.is_some() || read.missing().is_none());
 
         let numbers: Vec<u32> = reads.keys().copied().collect();
         let position = |frame: u32| numbers.partition_point(|&other| other < frame);

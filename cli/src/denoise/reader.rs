@@ -12,7 +12,7 @@ use stein_exr::BufferSet;
 
 use super::plan::Read;
 use crate::inspect::{Input, settle};
-use crate::{Failure, options};
+use crate::{Failure, options, output};
 
 /// A frame in memory.
 pub(super) struct ReadFrame {
@@ -84,6 +84,9 @@ fn load(read: &Read) -> Result<ReadFrame, Unusable> {
     let number = read.number;
     let unusable = |described, failure: Failure| Unusable { number, described, failure: failure.in_frame(number) };
     let mut set = options::read(&read.request).map_err(|failure| unusable(None, failure))?;
+    if let Some(output) = &read.output {
+        output::check_not_read(output, &set).map_err(|failure| unusable(None, failure))?;
+    }
     let (frames, described) = settle(&mut set, read.require_noise);
     let described = Box::new(described);
     let frames = match frames {
@@ -101,6 +104,6 @@ fn load(read: &Read) -> Result<ReadFrame, Unusable> {
             Err(error) => return Err(unusable(Some(described), error.into())),
         }
     }
-    let original = read.is_denoised.then(|| (Box::new(set), described));
+    let original = read.output.is_some().then(|| (Box::new(set), described));
     Ok(ReadFrame { number: read.number, pictures, original })
 }

@@ -14,7 +14,8 @@ use crate::request::BufferSetRequest;
 use crate::siblings::{self, Sibling};
 use crate::source::{self, Picture, Planes, SignalSource, VarianceSource};
 use crate::uses::{Note, layer_uses};
-use crate::{counts, seeds};
+use crate::seeds::{self, Reading};
+use crate::counts;
 use stein::error::{Error, FileCause, LayerCause, RequestCause, Result};
 use stein::frame::{FeatureKind, MAX_FEATURES, SamplesPerPixel};
 use stein::image::Window;
@@ -31,14 +32,18 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
     let mut files = Files::new(input, &recognised);
     files.png_encoding = request.png_encoding;
     let Siblings { files: siblings, seeds } = files.open_siblings(request, &recognised);
-    let request = &BufferSetRequest { seeds: [request.seeds.clone(), seeds].concat(), ..request.clone() };
     let mut left_out = Vec::new();
+    if request.layout.is_some() && !files.fits(&recognised.layout) {
+        let name = text::name(recognised.layout.name()).into_owned();
+        files.notes.push(format!("no layer fits the layout {name}: the file is read by the usual names"));
+    }
     let colors = files.colors(request.layer.as_deref())?;
     check_is_one_picture(request, colors.len())?;
     let mut pictures = Vec::new();
     for color in &colors {
         let mut picture = files.picture(color, colors.len(), &recognised.layout, request);
-        files.add_noise(&mut picture, color.is_main, request, &mut left_out)?;
+        let has_seeds = !request.seeds.is_empty() || !seeds.is_empty();
+        files.add_noise(&mut picture, color.is_main, has_seeds, request, &mut left_out)?;
         files.add_features(&mut picture, request, &mut left_out)?;
         pictures.push(picture);
     }
@@ -47,6 +52,7 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
     let mut notes: Vec<Note> = left_out.into_iter().map(LeftOut::into_note).collect();
     notes.append(&mut files.layer_notes);
     notes.extend(files.orphans());
+    notes.extend(files.elsewhere(&pictures));
     let mut set = BufferSet {
         files: files.list,
         pictures,
@@ -58,8 +64,15 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
         png_encoding: request.png_encoding,
         layer_uses: Vec::new(),
     };
-    if !request.seeds.is_empty() {
-        notes.extend(seeds::merge(&mut set, request, &files.classified[0], &recognised.layout)?);
+    if !request.seeds.is_empty() || !seeds.is_empty() {
+        let reading = Reading {
+            layout: &recognised.layout,
+            rules: &files.rules,
+            classified: &files.classified,
+            own_files: &files.own_files,
+            seeds: &seeds,
+        };
+        seeds::merge(&mut set, request, &reading)?;
     }
     set.layer_uses = layer_uses(&set, &files.classified, &files.rules, &notes);
     Ok(set)
@@ -85,7 +98,7 @@ struct LeftOut {
 impl LeftOut {
     fn new(files: &[ExrFile], id: LayerId, cause: LayerCause) -> Self {
         let file = &files[id.file];
-        Self { id, path: file.path.clone(), name: file.layers[id.layer].name.clone(), cause }
+        Self { id, path: file.path.clone(), name: file.layers[id.layer].title(), cause }
     }
 
     fn into_note(self) -> Note {
@@ -132,6 +145,7 @@ impl Files {
             // Files beside the input are named by the layout alone.
             rules.extend(native.rules.iter().filter(|rule| rule.files.is_empty()).cloned());
         }
+        rules.push(Rule::of_ids());
         let classified = vec![classify(&rules, &input, 0, None)];
         Self {
             list: vec![input],
@@ -143,6 +157,12 @@ impl Files {
             own_files: vec![0],
             skipped: Vec::new(),
         }
+    }
+
+    /// Whether a rule of the layout fits a layer.
+    fn fits(&self, layout: &Layout) -> bool {
+        let meanings = self.classified.iter().flat_map(|classified| classified.meanings.iter().flatten());
+        meanings.map(|meaning| meaning.rank.rule).any(|rule| rule < layout.rules.len())
     }
 
     fn open(&mut self, path: &Path) -> Result<usize> {
@@ -208,7 +228,14 @@ impl Files {
         let index = match self.list.iter().position(|file| file.path == sibling.path) {
             Some(index) => index,
             None => {
-                let mut file = ExrFile::read(&sibling.path, self.png_encoding)?;
+                // Directions and distances are no light, so that no curve applies to them.
+                let is_light = !matches!(rule.role, Some(RoleName::Normal | RoleName::Depth | RoleName::Position));
+                let encoding = if is_light { self.png_encoding } else { PngEncoding::Linear };
+                let mut file = ExrFile::read(&sibling.path, encoding)?;
+                if let Some(difference) = seeds::other_frame(&self.list[0], &file) {
+                    let cause = FileCause::OtherFrame { of: input.to_owned(), reason: difference };
+                    return Err(Error::File { path: sibling.path.clone(), cause });
+                }
                 for join in &recognised.layout.joins {
                     let is_here = |stem: &String| siblings::is(stem, input, recognised.stem.as_deref(), &sibling.path);
                     if join.file.as_ref().is_none_or(is_here) {
@@ -351,7 +378,15 @@ impl Files {
 
     /// Whether a layer belongs to a picture. A file beside the input belongs to its only picture.
     fn is_in(&self, id: LayerId, picture: &Picture) -> bool {
-        if id.file > 0 { self.own_files.contains(&id.file) && picture.is_only } else { self.scope(id) == picture.scope }
+        if id.file > 0 {
+            return self.own_files.contains(&id.file) && picture.is_only;
+        }
+        let mut own = self.scope(id);
+        // Parts whose layers have names of their own belong to the only picture.
+        if own.part.is_none() && picture.is_only {
+            own.part = picture.scope.part;
+        }
+        own == picture.scope
     }
 
     /// Makes a picture of a colour, without noise and features.
@@ -359,27 +394,13 @@ impl Files {
         let id = LayerId { file: 0, layer: color.layer };
         let is_color = self.meaning(id).is_some_and(|meaning| meaning.role == Some(RoleName::Color));
         let scope = Scope::of(self.layer(id), self.meaning(id).filter(|_| is_color));
-        let samples_layer = self.ids().filter(|other| self.own_files.contains(&other.file)).find(|other| {
-            let is_count = self.meaning(*other).is_some_and(|meaning| meaning.role == Some(RoleName::Samples));
-            let own = self.scope(*other);
-            // A count without a group belongs to all pictures of its part.
-            let is_shared = own.group.is_empty() && (own.part, &own.view) == (scope.part, &scope.view);
-            is_count && (own == scope || is_shared || other.file > 0 && count == 1)
-        });
-        let is_fraction = samples_layer
-            .and_then(|layer| self.meaning(layer))
-            .is_some_and(|meaning| meaning.quantity == Quantity::Fraction);
-        let counted = samples_layer.map(|layer| Planes {
-            file: layer.file,
-            layer: layer.layer,
-            channels: vec![self.layer(layer).channels[0].index],
-        });
         let window = self.list[0].data_window(self.layer(id).part);
         let (samples, samples_layer) = match request.samples {
             Some(count) => (SamplesPerPixel::Uniform(count as f32), None),
             None => {
+                let counted = counts::layer(&self.list, &self.classified, &self.own_files, &scope, count == 1);
                 let header = counts::in_header(&self.list[0], self.layer(id).part, layout, &scope.group);
-                counts::known(&self.list, window, header, counted, is_fraction)
+                counts::known(&self.list, window, header, counted)
             }
         };
         let mean = Planes { file: 0, layer: color.layer, channels: color.channels.clone() };
@@ -393,7 +414,6 @@ impl Files {
             features: Vec::new(),
             samples,
             samples_layer,
-            counts_are_fractions: is_fraction,
         }
     }
 
@@ -403,6 +423,7 @@ impl Files {
         &mut self,
         picture: &mut Picture,
         is_main: bool,
+        has_seeds: bool,
         request: &BufferSetRequest,
         left_out: &mut Vec<LeftOut>,
     ) -> Result<()> {
@@ -414,7 +435,8 @@ impl Files {
                 // Other versions of the same picture have its noise.
                 let is_copy = self.rule(of).is_some_and(|rule| rule.is_copy)
                     && (self.layer(of).scope_part, &self.layer(of).view) == (picture.scope.part, &picture.scope.view);
-                of == id || is_main && (is_copy || other.file > 0 && of.file == 0 && picture.is_only)
+                let is_color = self.meaning(of).is_none_or(|meaning| meaning.role == Some(RoleName::Color));
+                of == id || is_main && (is_copy || other.file > 0 && of.file == 0 && picture.is_only && is_color)
             };
             match meaning.of {
                 Some(of) => is_of(of),
@@ -424,7 +446,9 @@ impl Files {
         found.add(self, &picture.color.mean, &picture.samples, window, belongs);
         let named = |files: &mut Self, reference: &Option<LayerRef>| match reference {
             None => Ok(None),
-            Some(reference) => files.requested_planes(reference, &picture.color.mean, window).map(Some),
+            Some(reference) => {
+                files.requested_planes(reference, &picture.color.mean, picture.is_only, window).map(Some)
+            }
         };
         if let Some(half) = named(self, &request.half_a)? {
             found.half_a = Some(half);
@@ -436,7 +460,7 @@ impl Files {
             found.variance = Some(self.requested_variance(planes, &picture.samples)?);
         }
         found.leave_out_single_half(&self.list);
-        let is_known = found.half_a.is_some() || found.variance.is_some() || !request.seeds.is_empty();
+        let is_known = found.half_a.is_some() || found.variance.is_some() || has_seeds;
         // A half that was requested by name is not left out if the other half is missing.
         let is_named = found.half_a.is_none() && (request.half_a.is_some() || request.half_b.is_some());
         if found.left_out.is_empty() || is_known && !is_named {
@@ -453,18 +477,25 @@ impl Files {
     }
 
     /// Returns the planes of a requested half or variance of the colour `mean`.
-    fn requested_planes(&mut self, reference: &LayerRef, mean: &Planes, window: Window) -> Result<Planes> {
+    fn requested_planes(
+        &mut self,
+        reference: &LayerRef,
+        mean: &Planes,
+        is_only: bool,
+        window: Window,
+    ) -> Result<Planes> {
         let file = self.open(&reference.file)?;
         if file == 0 && reference.layer.is_none() {
             return Err(Error::Request(RequestCause::InputItself { file: reference.file.clone() }));
         }
         // In a file with the same layers, the layer of the same name is meant.
-        let own = &self.layer(LayerId { file: mean.file, layer: mean.layer }).name;
-        let same = || self.list[file].layers.iter().position(|layer| !own.is_empty() && layer.name == *own);
-        let layer = match reference.layer.as_deref() {
-            None => same().map_or_else(|| color_layer_of(&self.list[file], None), Ok)?,
-            named => color_layer_of(&self.list[file], named)?,
-        };
+        let own = self.layer(LayerId { file: mean.file, layer: mean.layer });
+        let layer = same_or_color(&self.list[file], own, is_only, reference.layer.as_deref())?;
+        let id = LayerId { file, layer };
+        if let Some(why) = self.rule(id).filter(|rule| rule.quantity == Quantity::NotAVariance).map(|rule| &rule.why) {
+            let cause = LayerCause::NotAVariance { why: why.clone().unwrap_or_default() };
+            return Err(LeftOut::new(&self.list, id, cause).into_error());
+        }
         let channels = color_channels(&self.list[file], layer)?;
         let planes = Planes { file, layer, channels };
         self.check_window(&planes, window).map_err(LeftOut::into_error)?;
@@ -498,8 +529,20 @@ impl Files {
         Ok(VarianceSource { planes, quantity, mean, unknown: rule.and_then(|rule| rule.unknown) })
     }
 
+    /// Refuses planes of a file with another resolution: its windows cannot be compared.
+    fn check_resolution(&self, planes: &Planes, window: Window) -> std::result::Result<(), LeftOut> {
+        let (own, file) = (&self.list[0], &self.list[planes.file]);
+        let (display, other) = (own.display_window(), file.display_window());
+        let is_same = match own.has_windows && file.has_windows {
+            true => display.extent == other.extent,
+            false => file.data_window(file.layers[planes.layer].part).extent == window.extent,
+        };
+        if is_same { Ok(()) } else { Err(self.outside(planes, other, display)) }
+    }
+
     /// Refuses planes that do not cover the colour's pixels.
     fn check_window(&self, planes: &Planes, window: Window) -> std::result::Result<(), LeftOut> {
+        self.check_resolution(planes, window)?;
         let file = &self.list[planes.file];
         let own = source::window_of(file, file.layers[planes.layer].part, window);
         if source::covers(own, window) { Ok(()) } else { Err(self.outside(planes, own, window)) }
@@ -617,6 +660,7 @@ impl Files {
     }
 
     fn check_overlap(&self, planes: &Planes, window: Window) -> std::result::Result<(), LeftOut> {
+        self.check_resolution(planes, window)?;
         let file = &self.list[planes.file];
         let own = source::window_of(file, file.layers[planes.layer].part, window);
         if source::overlap(own, window) > 0 { Ok(()) } else { Err(self.outside(planes, own, window)) }
@@ -640,7 +684,7 @@ impl Files {
         };
         let found = request.skip_features.iter().filter(|skip| candidates.iter().any(|it| is_named(skip, it)));
         let found: Vec<String> = found.cloned().collect();
-        let mut notes = Vec::new();
+        let (mut notes, mut padded) = (Vec::new(), Vec::new());
         let mut note = |id: LayerId, text: String| notes.push(Note { id, text });
         candidates.retain(|candidate| {
             let is_skipped = request.skip_features.iter().any(|skip| is_named(skip, candidate));
@@ -689,10 +733,16 @@ impl Files {
                 found.leave_out_single_half(&self.list);
                 left_out.append(&mut found.left_out);
                 found.put_into(&mut source);
+                let own = source::window_of(&self.list[id.file], self.layer(*id).part, window);
+                if !source::covers(own, window) {
+                    let name = text::name(name);
+                    padded.push(format!("feature {name}: its pixels are {own}; around them nothing was hit"));
+                }
                 picture.features.push((name.clone(), source));
             }
         }
         self.layer_notes.append(&mut notes);
+        self.notes.append(&mut padded);
         self.skipped.extend(found);
     }
 
@@ -784,6 +834,15 @@ impl Files {
                 cause: FileCause::NoFeatureToSkip { name: skip.clone(), layers: self.list[0].layers_like(skip) },
             }),
         }
+    }
+
+    /// Returns remarks on features that belong to no picture.
+    fn elsewhere(&self, pictures: &[Picture]) -> Vec<Note> {
+        let is_feature =
+            |id: &LayerId| self.meaning(*id).is_some_and(|meaning| meaning.is_mean_of(RoleName::is_feature));
+        let is_alone = |id: &LayerId| !pictures.iter().any(|picture| self.is_in(*id, picture));
+        let ids = self.ids().filter(|id| id.file == 0).filter(is_feature).filter(is_alone);
+        ids.map(|id| Note { id, text: "its name puts it beside another picture than the colour".into() }).collect()
     }
 
     /// Returns remarks on halves and variances of layers that are not in their file.
@@ -940,6 +999,21 @@ fn check_is_one_picture(request: &BufferSetRequest, pictures: usize) -> Result<(
         return Err(Error::File { path: request.input.clone(), cause });
     }
     Ok(())
+}
+
+/// Finds the layer of another file that belongs to the colour `own`: the requested one, the one of the same name, or the
+/// file's colour if the input has no other picture.
+pub(crate) fn same_or_color(file: &ExrFile, own: &FileLayer, is_only: bool, wanted: Option<&str>) -> Result<usize> {
+    let same = file.layers.iter().position(|layer| layer.name == own.name && layer.channel("R").is_some());
+    match (wanted, same) {
+        (None, Some(same)) if !is_only || !own.name.is_empty() => Ok(same),
+        (None, None) if !is_only => Err(Error::Layer {
+            path: file.path.clone(),
+            layer: own.title(),
+            cause: LayerCause::Missing { layers: file.layers_like(&own.name) },
+        }),
+        (wanted, _) => color_layer_of(file, wanted),
+    }
 }
 
 /// Finds the layer that holds a file's colour: the requested one, or the one that the usual names say.

@@ -75,6 +75,11 @@ impl BufferSet {
         &self.siblings
     }
 
+    /// Returns all files that were read.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        self.files.iter().map(|file| file.path.as_path()).chain(self.seeds.iter().map(PathBuf::as_path))
+    }
+
     /// Returns remarks on the files.
     pub fn notes(&self) -> &[String] {
         &self.notes
@@ -217,16 +222,17 @@ impl BufferSet {
     /// As [`read_reference`]; [`Error::Layer`] for a reference that lacks some of the pixels.
     pub fn read_reference(&self, picture: usize, reference: &LayerRef) -> Result<Image> {
         let window = self.data_window_of(picture);
-        let like = &self.files[0].layers[self.pictures[picture].color.mean.layer].name;
+        let like = &self.files[0].layers[self.pictures[picture].color.mean.layer];
         let file = ExrFile::read(&reference.file, self.png_encoding)?;
-        let same = file.layers.iter().position(|layer| !like.is_empty() && layer.name == *like);
-        let layer = match (same, &reference.layer) {
-            (Some(same), None) => same,
-            (_, named) => assign::color_layer_of(&file, named.as_deref())?,
-        };
+        let layer = assign::same_or_color(&file, like, self.pictures.len() == 1, reference.layer.as_deref())?;
         let part = file.layers[layer].part;
         let own = source::window_of(&file, part, window);
-        if source::covers(own, window) {
+        let has_windows = file.has_windows && self.files[0].has_windows;
+        let is_same = match has_windows {
+            true => file.display_window().extent == self.display_window().extent,
+            false => own.extent == window.extent,
+        };
+        if is_same && source::covers(own, window) {
             let image = file.planes(part, &assign::color_channels(&file, layer)?);
             return Ok(source::aligned(image, own, window, 0.0));
         }

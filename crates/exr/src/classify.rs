@@ -4,7 +4,7 @@ use exr::prelude::SampleType;
 
 use crate::file::ExrFile;
 use crate::layers::FileLayer;
-use crate::layout::{Quantity, RoleName, Rule};
+use crate::layout::{Breadth, Quantity, RoleName, Rule};
 use crate::names;
 
 /// A layer of one of the files.
@@ -17,8 +17,7 @@ pub(crate) struct LayerId {
 /// How well a rule fits: smaller ranks are preferred.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Rank {
-    /// Whether the pattern fits any name.
-    pub(crate) is_any: bool,
+    pub(crate) breadth: Breadth,
     /// Position of the rule.
     pub(crate) rule: usize,
     /// Position of the pattern in the rule.
@@ -68,15 +67,35 @@ pub(crate) fn classify(rules: &[Rule], file: &ExrFile, index: usize, input: Opti
             continue;
         }
         let mut orphan = None;
-        let mut meaning = meaning(rules, (file, index), input, layer, &own.key, &mut orphan);
-        // The part's own layer is plain `R G B` if the part is a picture of its own and its name means nothing.
-        if meaning.is_none() && own.is_own && own.scope_part.is_some() {
-            meaning = self::meaning(rules, (file, index), input, layer, "", &mut None);
-        }
+        let meaning = meaning(rules, (file, index), input, layer, &own.key, &mut orphan);
         if let (None, Some(of)) = (&meaning, orphan) {
             classified.orphans.push((layer, of));
         }
         classified.meanings.push(meaning);
+    }
+    // The own layer of a part is plain `R G B` if the part is a picture of its own and its name means nothing, as in
+    // parts called `left` and `right`; but not beside a part that is called `beauty`.
+    let is_own = |layer: &FileLayer| layer.is_own && layer.scope_part.is_some();
+    let is_color = |(own, meaning): (&FileLayer, &Option<Meaning>)| {
+        is_own(own) && meaning.as_ref().is_some_and(|meaning| meaning.is_mean_of(|role| role == RoleName::Color))
+    };
+    if !file.layers.iter().zip(&classified.meanings).any(is_color) {
+        for (layer, _) in file.layers.iter().enumerate().filter(|(_, own)| is_own(own)) {
+            if classified.meanings[layer].is_none() {
+                classified.meanings[layer] = meaning(rules, (file, index), input, layer, "", &mut None);
+            }
+        }
+    }
+    // The header says which layers are of cryptomatte, whatever they are called.
+    for name in file.cryptomattes() {
+        for (layer, own) in file.layers.iter().enumerate() {
+            let rank = own.name.strip_prefix(&name).or_else(|| own.key.strip_prefix(&name));
+            if rank.is_some_and(|rank| rank.chars().all(|digit| digit.is_ascii_digit())) {
+                let rule = rules.len() - 1;
+                let rank = Rank { rule, ..Rank::default() };
+                classified.meanings[layer] = Some(Meaning::new(rank, &rules[rule], String::new(), None));
+            }
+        }
     }
     classified
 }
@@ -91,10 +110,9 @@ fn meaning(
 ) -> Option<Meaning> {
     // A layout may give a meaning to any other layer, but a name that says more comes first, also if only the usual names
     // have it.
-    let find = |is_any: bool, orphan: &mut Option<String>| {
-        fitting(rules, (file, index), input, layer, key, is_any, orphan)
-    };
-    find(false, orphan).or_else(|| find(true, orphan))
+    Breadth::ALL
+        .into_iter()
+        .find_map(|breadth| fitting(rules, (file, index), input, layer, key, breadth, &mut *orphan))
 }
 
 #[expect(clippy::too_many_arguments, reason = "a helper of `meaning`")]
@@ -104,13 +122,13 @@ fn fitting(
     input: Option<&ExrFile>,
     layer: usize,
     key: &str,
-    is_any: bool,
+    breadth: Breadth,
     orphan: &mut Option<String>,
 ) -> Option<Meaning> {
     let own = &file.layers[layer];
     let named = rules.iter().enumerate().filter(|(_, rule)| rule.files.is_empty() && rule.fits_channels(own));
     for (position, rule) in named {
-        let names = rule.names.iter().enumerate().filter(|(_, name)| name.is_any() == is_any);
+        let names = rule.names.iter().enumerate().filter(|(_, name)| name.breadth() == breadth);
         for (pattern, fit) in names.filter_map(|(index, name)| Some((index, name.fit(key)?))) {
             let of = match fit.of {
                 None => None,
@@ -126,7 +144,7 @@ fn fitting(
                     }
                 },
             };
-            return Some(Meaning::new(Rank { is_any, rule: position, pattern }, rule, fit.group, of));
+            return Some(Meaning::new(Rank { breadth, rule: position, pattern }, rule, fit.group, of));
         }
     }
     None

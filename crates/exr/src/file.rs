@@ -83,10 +83,26 @@ impl ExrFile {
         to_f32(&self.image.layer_data[part].channel_data.list[channel].sample_data)
     }
 
+    /// Returns the names of the cryptomattes that the header lists.
+    pub(crate) fn cryptomattes(&self) -> Vec<String> {
+        let attributes = self.attributes().into_iter();
+        let listed = attributes.filter(|(name, _)| name.starts_with("cryptomatte/") && name.ends_with("/name"));
+        listed.map(|(_, value)| value).filter(|value| !value.is_empty()).collect()
+    }
+
     /// Returns the camera matrices of the first part, if the header has them.
     pub(crate) fn cameras(&self) -> [Option<Matrix4x4>; 2] {
         let attributes = &self.image.layer_data[0].attributes;
         [attributes.world_to_camera, attributes.world_to_normalized_device]
+    }
+
+    /// Returns the view that the first part shows, if the header says so.
+    pub(crate) fn view(&self) -> Option<String> {
+        // A file of several views is told apart by its layers.
+        let views = self.image.layer_data.iter().map(|layer| layer.attributes.view_name.as_ref());
+        let first = views.clone().next().flatten()?;
+        let is_only = views.into_iter().all(|view| view.is_none_or(|view| view == first));
+        is_only.then(|| names::decoded(first.as_slice()))
     }
 
     /// Replaces the samples of a channel in memory.

@@ -52,6 +52,14 @@ fn letter(suffix: &str) -> &str {
 }
 
 impl FileLayer {
+    /// Returns the layer's name, or its channels if it has none, for messages.
+    pub(crate) fn title(&self) -> String {
+        match self.name.as_str() {
+            "" => self.channels.iter().map(|channel| channel.suffix.as_str()).collect::<Vec<_>>().join(" "),
+            name => name.to_owned(),
+        }
+    }
+
     /// Formats the layer's name and channels, for messages.
     pub(crate) fn described(&self) -> String {
         let channels: Vec<_> = self.channels.iter().map(|channel| text::name(&channel.suffix)).collect();

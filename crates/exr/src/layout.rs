@@ -10,12 +10,11 @@ use std::sync::LazyLock;
 
 use serde::{Deserialize, Serialize};
 
-pub(crate) use pattern::Pattern;
+pub(crate) use pattern::{Breadth, Pattern};
 pub(crate) use recognise::{Recognised, recognise};
 pub(crate) use rule::Rule;
 pub use rule::{Quantity, RoleName, Unit};
 use stein::error::{Error, FileCause, Result};
-use stein::text;
 
 /// The layouts that come with this library: names and TOML documents.
 const BUILT_IN: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/layouts.rs"));
@@ -117,8 +116,8 @@ impl Layout {
         }
         let path = Path::new(name);
         if !path.is_file() {
-            let names = BUILT_IN.iter().map(|(name, _)| (*name).to_owned());
-            let problem = format!("is neither a layout nor a file; the layouts are {}", text::list(names));
+            let names: Vec<&str> = BUILT_IN.iter().map(|(name, _)| *name).collect();
+            let problem = format!("is neither a layout nor a file; the layouts are {}", names.join(", "));
             return Err(refuse(problem, "choose one of these, or name a TOML file"));
         }
         let document = std::fs::read_to_string(path)
@@ -136,6 +135,9 @@ impl Layout {
     fn parse(name: &str, document: &str) -> std::result::Result<Self, String> {
         let parsed: Document = toml::from_str(document).map_err(|error| error.to_string().trim_end().to_owned())?;
         let rules = parsed.layer.into_iter().map(rule::RuleDocument::rule).collect::<std::result::Result<_, _>>()?;
+        if let Some(join) = parsed.join.iter().find(|join| join.channels.len() != join.letters.chars().count()) {
+            return Err(format!("join '{}' does not have a letter for each channel", join.name));
+        }
         let signs = parsed.recognise.into_iter().map(recognise::SignDocument::sign);
         Ok(Self {
             name: name.to_owned(),

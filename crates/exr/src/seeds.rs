@@ -1,128 +1,176 @@
 //! Renders of one frame with different seeds, merged into one: means weighted by the numbers of samples, and halves.
 
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
-use stein::error::{Error, FileCause, LayerCause, Result};
+use stein::error::{Error, FileCause, LayerCause, RequestCause, Result};
 use stein::frame::SamplesPerPixel;
 use stein::text;
 
 use crate::buffer_set::BufferSet;
-use crate::classify::{Classified, LayerId, Meaning};
+use crate::classify::{Classified, Meaning, Scope, classify, is_whole_numbers};
 use crate::counts;
 use crate::file::ExrFile;
-use crate::layout::{Layout, Quantity, RoleName};
+use crate::layout::{Layout, Quantity, RoleName, Rule};
 use crate::request::BufferSetRequest;
-use crate::source::{Picture, Planes, SignalSource};
-use crate::uses::Note;
+use crate::siblings;
+use crate::source::{self, Planes};
 
-/// Header attributes that differ between frames, cameras and views, but not between seeds.
-const OF_ONE_FRAME: [&str; 6] = ["Frame", "Camera", "Scene", "frame", "camera", "view"];
+/// Header attributes that differ between frames and cameras, but not between seeds.
+const OF_ONE_FRAME: [&str; 5] = ["Frame", "Camera", "Scene", "frame", "camera"];
 
-/// Merges the requested seeds with the input, in place. Afterwards the set's colours, features, lights and alphas are
-/// the means of all seeds, and the halves of colours and features are the means of the seeds of each half. Everything
-/// else stays as the input has it. Returns remarks on layers that some seed lacks.
+/// How the set was read.
+pub(crate) struct Reading<'a> {
+    pub(crate) layout: &'a Layout,
+    pub(crate) rules: &'a [Rule],
+    /// Meanings of the layers in the set's files.
+    pub(crate) classified: &'a [Classified],
+    /// Positions of the files that belong to the input.
+    pub(crate) own_files: &'a [usize],
+    /// Other seeds that the layout names.
+    pub(crate) seeds: &'a [PathBuf],
+}
+
+/// Merges renders with other seeds with the input, in place: those of the request, and those that the layout names.
+/// Afterwards the set's colours, features, lights and alphas are the means of all seeds, and the halves of colours and
+/// features are the means of the seeds of each half. Everything else stays as the input has it.
 ///
 /// # Errors
-/// [`Error::File`] for a seed that cannot be read, that shows another frame or that is the same render; [`Error::Layer`]
-/// for a seed without the colour, or with another data window.
-pub(crate) fn merge(
-    set: &mut BufferSet,
-    request: &BufferSetRequest,
-    classified: &Classified,
-    layout: &Layout,
-) -> Result<Vec<Note>> {
-    let mut seeds = Vec::new();
-    for path in &request.seeds {
-        let file = ExrFile::read(path, request.png_encoding)?;
-        check_is_seed(set, &file)?;
-        seeds.push(file);
+/// [`Error::File`] for a requested seed that cannot be read, that shows another frame or that is the same render;
+/// [`Error::Layer`] for one without the colour, or with another data window; [`Error::Request`] for halves that are
+/// given beside seeds. A seed that the layout names is left out instead.
+pub(crate) fn merge(set: &mut BufferSet, request: &BufferSetRequest, reading: &Reading<'_>) -> Result<()> {
+    let given = [request.half_a.is_some(), request.half_b.is_some()];
+    let of_features = [&request.feature_half_a, &request.feature_half_b];
+    if given.contains(&true) || of_features.iter().any(|halves| !halves.is_empty()) {
+        return Err(Error::Request(RequestCause::Other {
+            problem: "halves are given beside other seeds".into(),
+            remedy: "give either: the seeds are the halves".into(),
+        }));
     }
-    let mut notes = Vec::new();
-    let input = set.files[0].clone_without_samples();
-    let mut halves = [input.clone_without_samples(), input];
-    let of_pictures: Vec<Weights> = set
-        .pictures
-        .iter()
-        .map(|picture| Weights::of(picture, &set.files[0], &seeds, layout, request))
-        .collect::<Result<_>>()?;
-    halves[1].path = seeds.get(of_pictures[0].first_of_b().saturating_sub(1)).map_or_else(
-        || halves[1].path.clone(),
-        |seed| seed.path.clone(),
-    );
-    // The halves are made of the seeds as they are, so they come before the means.
-    let half_files = [set.files.len(), set.files.len() + 1];
-    for (index, weights) in of_pictures.iter().enumerate() {
-        let mut picture = set.pictures[index].clone();
-        let name = picture.features.iter().map(|(name, _)| Some(name.clone()));
-        let names: Vec<Option<String>> = std::iter::once(None).chain(name).collect();
-        let sources = std::iter::once(&mut picture.color).chain(picture.features.iter_mut().map(|(_, it)| it));
-        for (source, name) in sources.zip(names) {
-            // The input's own halves are halves of one seed.
-            let own_halves = [&source.half_a, &source.half_b].into_iter().flatten().filter(|half| half.file == 0);
-            set.stale.extend(own_halves.map(|half| half.layer));
-            let id = LayerId { file: source.mean.file, layer: source.mean.layer };
-            if let Err(missing) = put_halves(set, &seeds, weights, source, half_files, &mut halves) {
-                match name {
-                    Some(_) => notes.push(Note { id, text: format!("{} lacks it: no halves", text::path(&missing)) }),
-                    None => unreachable!("seeds without the colour are refused"),
+    let mut seeds: Vec<Seed> = Vec::new();
+    let requested = request.seeds.iter().map(|path| (path, true));
+    for (path, is_requested) in requested.chain(reading.seeds.iter().map(|path| (path, false))) {
+        match Seed::read(set, &seeds, path, request, reading) {
+            Ok(seed) => seeds.push(seed),
+            Err(error) if is_requested => return Err(error),
+            Err(error) => set.notes.push(format!("not used: {error}")),
+        }
+    }
+    if seeds.is_empty() {
+        return Ok(());
+    }
+    set.seeds = seeds.iter().map(|seed| seed.main().path.clone()).collect();
+    let mut merger = Merger::new(&seeds, request, reading);
+    merger.halves(set);
+    merger.average(set);
+    merger.finish(set);
+    Ok(())
+}
+
+/// A render with another seed.
+struct Seed {
+    /// The counterparts of the set's own files, by the positions of these.
+    files: BTreeMap<usize, ExrFile>,
+    classified: Classified,
+}
+
+impl Seed {
+    fn read(
+        set: &BufferSet,
+        others: &[Self],
+        path: &Path,
+        request: &BufferSetRequest,
+        reading: &Reading<'_>,
+    ) -> Result<Self> {
+        let main = ExrFile::read(path, request.png_encoding)?;
+        check_is_seed(set, others, &main)?;
+        let classified = classify(reading.rules, &main, 0, None);
+        let mut files = BTreeMap::from([(0, main)]);
+        if !request.no_siblings {
+            // The same rules find the files beside the seed, in the same order.
+            let own = siblings::find(reading.rules, set.input(), reading.layout.stem_of(set.input()).as_deref());
+            let found = siblings::find(reading.rules, path, reading.layout.stem_of(path).as_deref());
+            let place = |of: Option<&PathBuf>, all: &[siblings::Sibling]| {
+                of.and_then(|of| all.iter().find(|it| it.path == *of)).map(|it| it.rule)
+            };
+            for sibling in own {
+                let is_counterpart = |it: &&siblings::Sibling| {
+                    it.rule == sibling.rule && place(it.of.as_ref(), &found) == place(sibling.of.as_ref(), &found)
+                };
+                let index = set.files.iter().position(|file| file.path == sibling.path);
+                let counterpart = found.iter().find(is_counterpart).filter(|it| it.path != sibling.path);
+                if let (Some(index), Some(counterpart)) = (index, counterpart)
+                    && let Ok(file) = ExrFile::read(&counterpart.path, request.png_encoding)
+                {
+                    files.insert(index, file);
                 }
             }
         }
-        set.pictures[index] = picture;
+        Ok(Self { files, classified })
     }
-    average(set, &seeds, classified, &of_pictures, &mut notes);
-    for (picture, weights) in set.pictures.iter_mut().zip(of_pictures) {
-        picture.samples = weights.total();
-        picture.samples_layer = None;
+
+    fn main(&self) -> &ExrFile {
+        &self.files[&0]
     }
-    set.files.extend(halves);
-    set.seeds = request.seeds.clone();
-    Ok(notes)
 }
 
 /// Checks that a file is another render of the frame that the input shows.
-fn check_is_seed(set: &BufferSet, seed: &ExrFile) -> Result<()> {
+fn check_is_seed(set: &BufferSet, others: &[Seed], seed: &ExrFile) -> Result<()> {
     let input = &set.files[0];
     let not_a_seed = |reason: String| {
         let cause = FileCause::NotASeed { of: input.path.clone(), reason };
         Err(Error::File { path: seed.path.clone(), cause })
     };
-    for name in OF_ONE_FRAME {
-        if let (Some(own), Some(other)) = (input.text_attribute(0, name), seed.text_attribute(0, name))
-            && own != other
-        {
-            let [own, other] = [&own, &other].map(|value| text::name(value).into_owned());
-            return not_a_seed(format!("its header says {name} '{other}', and the input's '{own}'"));
-        }
-    }
-    if input.cameras() != seed.cameras() {
-        return not_a_seed("its camera is another one".into());
+    if let Some(difference) = other_frame(input, seed) {
+        return not_a_seed(difference);
     }
     for picture in &set.pictures {
         let planes = &picture.color.mean;
         let layer = &input.layers[planes.layer];
         let Some(found) = same_layer(input, seed, planes) else {
             let cause = LayerCause::Missing { layers: seed.layers_like(&layer.name) };
-            let name = if layer.name.is_empty() { "R G B".to_owned() } else { layer.name.clone() };
-            return Err(Error::Layer { path: seed.path.clone(), layer: name, cause });
+            return Err(Error::Layer { path: seed.path.clone(), layer: layer.title(), cause });
         };
         let (own, other) = (input.data_window(layer.part), seed.data_window(found.0));
         if own != other {
             let (found, expected) = (other.to_string(), own.to_string());
             let cause = LayerCause::DataWindow { found, expected, color_file: input.path.clone() };
-            return Err(Error::Layer { path: seed.path.clone(), layer: layer.name.clone(), cause });
+            return Err(Error::Layer { path: seed.path.clone(), layer: layer.title(), cause });
         }
-        let same = input.planes(layer.part, &planes.channels) == seed.planes(found.0, &found.1);
+        let color = seed.planes(found.0, &found.1);
         // Pictures without any noise are the same for all seeds.
-        if same && !is_constant(input, layer.part, &planes.channels) {
-            return not_a_seed("it holds the same pixels, so that nothing is known of their noise".into());
+        if color.planes.iter().all(|plane| plane.iter().all(|value| *value == plane[0])) {
+            continue;
+        }
+        let is_same = |file: &ExrFile| {
+            same_layer(input, file, planes).is_some_and(|(part, channels)| file.planes(part, &channels) == color)
+        };
+        if let Some(same) = std::iter::once(input).chain(others.iter().map(Seed::main)).find(|file| is_same(file)) {
+            let same = text::path(&same.path);
+            return not_a_seed(format!("it holds the same pixels as {same}, so that nothing is known of their noise"));
         }
     }
     Ok(())
 }
 
-fn is_constant(file: &ExrFile, part: usize, channels: &[usize]) -> bool {
-    file.planes(part, channels).planes.iter().all(|plane| plane.iter().all(|value| *value == plane[0]))
+/// Returns the difference between two files that cannot show the same frame.
+pub(crate) fn other_frame(own: &ExrFile, other: &ExrFile) -> Option<String> {
+    for name in OF_ONE_FRAME {
+        let value = |file: &ExrFile| file.attributes().into_iter().find(|(found, _)| found == name);
+        if let (Some((_, own)), Some((_, other))) = (value(own), value(other))
+            && own != other
+        {
+            let [own, other] = [&own, &other].map(|value| text::name(value).into_owned());
+            return Some(format!("its header says {name} '{other}', and the input's '{own}'"));
+        }
+    }
+    if let (Some(own), Some(other)) = (own.view(), other.view())
+        && own != other
+    {
+        return Some(format!("it shows the view '{}', and the input '{}'", text::name(&other), text::name(&own)));
+    }
+    (own.cameras() != other.cameras()).then(|| "its camera is another one".into())
 }
 
 /// Returns part and channels in another file of the layer of the same name; `None` if a channel is not there.
@@ -130,14 +178,15 @@ fn same_layer(own: &ExrFile, other: &ExrFile, planes: &Planes) -> Option<(usize,
     let layer = &own.layers[planes.layer];
     let found = other.layers.iter().find(|candidate| candidate.name == layer.name)?;
     let channel = |index: &usize| {
-        let suffix = &layer.channels.iter().find(|channel| channel.index == *index)?.suffix;
-        found.channels.iter().find(|channel| channel.suffix == *suffix).map(|channel| channel.index)
+        let letter = layer.channels.iter().find(|channel| channel.index == *index)?.letter();
+        found.channel(letter)
     };
     Some((found.part, planes.channels.iter().map(channel).collect::<Option<_>>()?))
 }
 
-/// Weights of the seeds in a picture: the input is the first.
+/// Weights of the seeds in a picture; the input is the first seed.
 struct Weights {
+    scope: Scope,
     /// Numbers of samples; equal numbers if some seed does not know them.
     counts: Vec<SamplesPerPixel>,
     is_known: bool,
@@ -146,36 +195,10 @@ struct Weights {
 }
 
 impl Weights {
-    fn of(
-        picture: &Picture,
-        input: &ExrFile,
-        seeds: &[ExrFile],
-        layout: &Layout,
-        request: &BufferSetRequest,
-    ) -> Result<Self> {
-        let part = input.layers[picture.color.mean.layer].part;
-        let window = input.data_window(part);
-        let mut known = vec![picture.samples.clone()];
-        for seed in seeds {
-            known.push(match (request.samples, &picture.samples_layer) {
-                (Some(count), _) => SamplesPerPixel::Uniform(count as f32),
-                (None, layer) => {
-                    let counted = layer.as_ref().filter(|planes| planes.file == 0).and_then(|planes| {
-                        let layer = seed.layers.iter().position(|it| it.name == input.layers[planes.layer].name)?;
-                        let channels = vec![seed.layers[layer].channels[0].index];
-                        Some(Planes { file: 0, layer, channels })
-                    });
-                    // Every kind of count was made of the input's channel.
-                    let is_fraction = counted.is_some() && picture.counts_are_fractions;
-                    let part = part.min(seed.parts() - 1);
-                    let header = counts::in_header(seed, part, layout, &picture.scope.group);
-                    counts::known(std::slice::from_ref(seed), window, header, counted, is_fraction).0
-                }
-            });
-        }
-        let is_known = known.iter().all(|count| *count != SamplesPerPixel::Unknown);
+    fn new(scope: Scope, mut counts: Vec<SamplesPerPixel>) -> Self {
+        let is_known = counts.iter().all(|count| *count != SamplesPerPixel::Unknown);
         if !is_known {
-            known.fill(SamplesPerPixel::Uniform(1.0));
+            counts.fill(SamplesPerPixel::Uniform(1.0));
         }
         let total = |count: &SamplesPerPixel| match count {
             SamplesPerPixel::Unknown => 0.0,
@@ -187,18 +210,13 @@ impl Weights {
         };
         // Each seed goes to the half that has fewer samples; the input is in half A.
         let mut sums = [0.0; 2];
-        let in_a = known.iter().map(|count| {
+        let in_a = counts.iter().map(|count| {
             let to_a = sums[0] <= sums[1];
             sums[usize::from(!to_a)] += total(count);
             to_a
         });
         let in_a = in_a.collect();
-        Ok(Self { counts: known, is_known, in_a })
-    }
-
-    /// Returns the position of the first seed in half B.
-    fn first_of_b(&self) -> usize {
-        self.in_a.iter().position(|in_a| !in_a).unwrap_or(0)
+        Self { scope, counts, is_known, in_a }
     }
 
     fn count(&self, seed: usize, pixel: usize) -> f64 {
@@ -209,38 +227,51 @@ impl Weights {
         }
     }
 
-    /// Returns mean and half of the spread of the values of all seeds at a pixel. Where no seed has samples, all count
-    /// the same.
-    fn merged(&self, values: &[f32], pixel: usize) -> Merged {
+    /// Merges the values of all seeds at a pixel. Values that say nothing do not count if others do.
+    fn merged(&self, values: &[f32], pixel: usize, says_nothing: impl Fn(f32) -> bool) -> Merged {
         let mut counts: Vec<f64> = (0..values.len()).map(|seed| self.count(seed, pixel).max(0.0)).collect();
         if counts.iter().all(|count| *count == 0.0) {
             counts.fill(1.0);
         }
+        let all: f64 = counts.iter().sum();
+        let counts_not = |value: &f32| !value.is_finite() || says_nothing(*value);
+        let useful = || values.iter().zip(&counts).filter(|(value, count)| !counts_not(value) && **count > 0.0);
+        if useful().next().is_none() {
+            // A value that a seed with samples has, such as the distance of a miss.
+            let value = values.iter().zip(&counts).find(|(_, count)| **count > 0.0).map_or(values[0], |(value, _)| *value);
+            let value = f64::from(value);
+            return Merged { mean: value, spread: 0.0, of_squares: value, sum: all };
+        }
         let mut halves = [(0.0, 0.0); 2];
         let mut squares = 0.0;
         for ((value, count), in_a) in values.iter().zip(&counts).zip(&self.in_a) {
-            let half = &mut halves[usize::from(!in_a)];
-            *half = (half.0 + count * f64::from(*value), half.1 + count);
-            squares += count * count * f64::from(*value);
+            if !counts_not(value) {
+                let half = &mut halves[usize::from(!in_a)];
+                *half = (half.0 + count * f64::from(*value), half.1 + count);
+                squares += count * count * f64::from(*value);
+            }
         }
         let [(sum_a, count_a), (sum_b, count_b)] = halves;
         let count = count_a + count_b;
-        let spread = match count_a > 0.0 && count_b > 0.0 {
-            true => (sum_a / count_a - sum_b / count_b) * (count_a * count_b).sqrt() / count,
-            // One half has no samples here, so that nothing is known.
-            false => f64::NAN,
-        };
-        Merged { mean: (sum_a + sum_b) / count, spread, of_squares: squares / (count * count), sum: count }
+        // Where one half has no samples, nothing is known of the noise; pixels around tell it.
+        let has_both = count_a > 0.0 && count_b > 0.0;
+        let spread = (sum_a / count_a - sum_b / count_b) * (count_a * count_b).sqrt() / count;
+        Merged {
+            mean: (sum_a + sum_b) / count,
+            spread: if has_both { spread } else { 0.0 },
+            of_squares: squares / (count * count),
+            sum: all,
+        }
     }
 
     fn total(&self) -> SamplesPerPixel {
+        if !self.is_known {
+            return SamplesPerPixel::Unknown;
+        }
         let uniform = self.counts.iter().map(|count| match count {
             SamplesPerPixel::Uniform(count) => Some(*count),
             _ => None,
         });
-        if !self.is_known {
-            return SamplesPerPixel::Unknown;
-        }
         if let Some(counts) = uniform.collect::<Option<Vec<f32>>>() {
             return SamplesPerPixel::Uniform(counts.iter().sum());
         }
@@ -264,134 +295,295 @@ struct Merged {
     spread: f64,
     /// Σ n_i²·x_i/n², the merged variance of means.
     of_squares: f64,
+    /// Number of samples of all seeds.
     sum: f64,
 }
 
-/// Puts the halves of a signal into the files of the halves. With unequal numbers of samples, the halves are such that
-/// their mean is the merged mean, and their difference has the noise that equal halves would have.
-///
-/// # Errors
-/// The path of a seed that lacks the layer.
-fn put_halves<'a>(
-    set: &BufferSet,
-    seeds: &'a [ExrFile],
-    weights: &Weights,
-    source: &mut SignalSource,
-    half_files: [usize; 2],
-    halves: &mut [ExrFile; 2],
-) -> std::result::Result<(), &'a Path> {
-    let planes = source.mean.clone();
-    let own = &set.files[planes.file];
-    // Layers of other files belong to the input alone.
-    if planes.file > 0 {
-        return Ok(());
-    }
-    let part = own.layers[planes.layer].part;
-    let mut places = Vec::new();
-    for seed in seeds {
-        let place = same_layer(own, seed, &planes).filter(|place| seed.data_window(place.0) == own.data_window(part));
-        places.push(place.ok_or(seed.path.as_path())?);
-    }
-    for (position, &channel) in planes.channels.iter().enumerate() {
-        if planes.channels[..position].contains(&channel) {
-            continue;
-        }
-        let values = columns(own, part, channel, seeds, &places, position);
-        let (mut a, mut b) = (Vec::with_capacity(values[0].len()), Vec::with_capacity(values[0].len()));
-        let mut at_pixel = vec![0.0; values.len()];
-        for pixel in 0..values[0].len() {
-            at_pixel.iter_mut().zip(&values).for_each(|(value, plane)| *value = plane[pixel]);
-            let Merged { mean, spread, .. } = weights.merged(&at_pixel, pixel);
-            // An infinite value, such as the depth of a miss, has no spread.
-            let spread = if mean.is_infinite() { 0.0 } else { spread };
-            a.push((mean + spread) as f32);
-            b.push((mean - spread) as f32);
-        }
-        halves[0].set_plane(part, channel, a);
-        halves[1].set_plane(part, channel, b);
-    }
-    let half = |file: usize| Some(Planes { file, ..planes.clone() });
-    (source.half_a, source.half_b) = (half(half_files[0]), half(half_files[1]));
-    Ok(())
-}
-
-/// Returns a channel of the input and of all seeds.
-fn columns(
-    own: &ExrFile,
+/// The values of a layer in the input and in all seeds, in the window of the input's layer.
+struct Column {
     part: usize,
-    channel: usize,
-    seeds: &[ExrFile],
-    places: &[(usize, Vec<usize>)],
-    position: usize,
-) -> Vec<Vec<f32>> {
-    let of_seeds = seeds.iter().zip(places).map(|(seed, (part, channels))| seed.plane(*part, channels[position]));
-    std::iter::once(own.plane(part, channel)).chain(of_seeds).collect()
+    /// For each channel, the planes of the input and of the seeds.
+    channels: Vec<(usize, Vec<Vec<f32>>)>,
 }
 
-/// Replaces the input's layers that are means or variances of samples by those of all seeds together.
-fn average(
-    set: &mut BufferSet,
-    seeds: &[ExrFile],
-    classified: &Classified,
-    weights: &[Weights],
-    notes: &mut Vec<Note>,
-) {
-    for layer in 0..set.files[0].layers.len() {
-        let is_used = set.pictures.iter().flat_map(Picture::signals).any(|signal| {
-            let of_variance = signal.variance.as_ref().map(|variance| &variance.planes);
-            [Some(&signal.mean), of_variance].into_iter().flatten().any(|it| (it.file, it.layer) == (0, layer))
+struct Merger<'a> {
+    seeds: &'a [Seed],
+    request: &'a BufferSetRequest,
+    reading: &'a Reading<'a>,
+    weights: Vec<Weights>,
+    /// The files of both halves, by the position of the file that they are halves of.
+    halves: BTreeMap<usize, [ExrFile; 2]>,
+    notes: Vec<String>,
+}
+
+impl<'a> Merger<'a> {
+    fn new(seeds: &'a [Seed], request: &'a BufferSetRequest, reading: &'a Reading<'a>) -> Self {
+        Self { seeds, request, reading, weights: Vec::new(), halves: BTreeMap::new(), notes: Vec::new() }
+    }
+
+    /// Returns the position of the weights for the layers of a scope in the input.
+    fn weights(&mut self, set: &BufferSet, scope: &Scope, part: usize) -> usize {
+        if let Some(known) = self.weights.iter().position(|weights| weights.scope == *scope) {
+            return known;
+        }
+        let window = set.files[0].data_window(part);
+        let known = |file: &ExrFile, classified: &Classified| {
+            if let Some(count) = self.request.samples {
+                return SamplesPerPixel::Uniform(count as f32);
+            }
+            let (files, classified) = (std::slice::from_ref(file), std::slice::from_ref(classified));
+            let counted = counts::layer(files, classified, &[0], scope, false);
+            let part = part.min(file.parts() - 1);
+            let header = counts::in_header(file, part, self.reading.layout, &scope.group);
+            counts::known(files, window, header, counted).0
+        };
+        // The input's own number may come from a file beside it.
+        let own = set.pictures.iter().find(|picture| picture.scope == *scope).map(|picture| picture.samples.clone());
+        let own = own.unwrap_or_else(|| known(&set.files[0], &self.reading.classified[0]));
+        let of_seeds = self.seeds.iter().map(|seed| known(seed.main(), &seed.classified));
+        let weights = Weights::new(scope.clone(), std::iter::once(own).chain(of_seeds).collect());
+        if !weights.is_known {
+            let note = "the samples per pixel of some seed are not known: all count the same".to_owned();
+            if !self.notes.contains(&note) {
+                self.notes.push(note);
+            }
+        }
+        self.weights.push(weights);
+        self.weights.len() - 1
+    }
+
+    /// Returns the values of a layer in all seeds, or the path of a seed that lacks it.
+    fn column(&self, set: &BufferSet, planes: &Planes) -> std::result::Result<Column, PathBuf> {
+        let own = &set.files[planes.file];
+        let part = own.layers[planes.layer].part;
+        let window = own.data_window(part);
+        let outside = self.outside(planes);
+        let mut of_seeds = Vec::new();
+        for seed in self.seeds {
+            let lacking = || seed.main().path.clone();
+            let file = seed.files.get(&planes.file).ok_or_else(lacking)?;
+            let (part, channels) = same_layer(own, file, planes).ok_or_else(lacking)?;
+            let other = file.data_window(part);
+            if source::overlap(other, window) == 0 {
+                return Err(lacking());
+            }
+            of_seeds.push(source::aligned(file.planes(part, &channels), other, window, outside).planes);
+        }
+        let channels = planes.channels.iter().enumerate().map(|(position, &channel)| {
+            let others = of_seeds.iter().map(|planes| planes[position].clone());
+            (channel, std::iter::once(own.plane(part, channel)).chain(others).collect())
         });
-        let Some(quantity) = averaged(&set.files[0], classified, layer, is_used) else { continue };
-        let own = &set.files[0];
-        let part = own.layers[layer].part;
-        let scope = crate::classify::Scope::of(&own.layers[layer], classified.meanings[layer].as_ref());
-        let picture = set.pictures.iter().position(|picture| picture.scope == scope).unwrap_or(0);
-        let channels: Vec<usize> = own.layers[layer].channels.iter().map(|channel| channel.index).collect();
-        let planes = Planes { file: 0, layer, channels: channels.clone() };
-        let place = |seed: &ExrFile| {
-            same_layer(own, seed, &planes).filter(|place| seed.data_window(place.0) == own.data_window(part))
-        };
-        let Some(places) = seeds.iter().map(place).collect::<Option<Vec<_>>>() else {
-            notes.push(Note { id: LayerId { file: 0, layer }, text: "some seed lacks it: of the input alone".into() });
-            continue;
-        };
-        for (position, channel) in channels.into_iter().enumerate() {
-            let values = columns(&set.files[0], part, channel, seeds, &places, position);
-            let mut merged = Vec::with_capacity(values[0].len());
+        Ok(Column { part, channels: channels.collect() })
+    }
+
+    fn meaning(&self, planes: &Planes) -> Option<&Meaning> {
+        self.reading.classified[planes.file].meanings[planes.layer].as_ref()
+    }
+
+    fn rule(&self, planes: &Planes) -> Option<&Rule> {
+        self.meaning(planes).map(|meaning| &self.reading.rules[meaning.rank.rule])
+    }
+
+    /// Returns the value of pixels outside of a seed's data window: a ray that hit nothing.
+    fn outside(&self, planes: &Planes) -> f32 {
+        let is_distance =
+            matches!(self.meaning(planes).and_then(|it| it.role), Some(RoleName::Depth | RoleName::Position));
+        let miss = self.rule(planes).and_then(|rule| rule.miss);
+        miss.unwrap_or(if is_distance { f32::INFINITY } else { 0.0 })
+    }
+
+    /// Returns whether a value of a layer says nothing: a distance where nothing was hit, an unknown variance.
+    fn says_nothing(&self, planes: &Planes) -> impl Fn(f32) -> bool + use<> {
+        let rule = self.rule(planes);
+        let nothing = rule.and_then(|rule| rule.miss.or(rule.unknown));
+        move |value: f32| Some(value) == nothing
+    }
+
+    /// Makes the halves of all colours and features of the seeds as they are.
+    fn halves(&mut self, set: &mut BufferSet) {
+        let first_half = set.files.len();
+        for index in 0..set.pictures.len() {
+            let mut picture = set.pictures[index].clone();
+            let part = set.color_part(index);
+            let weights = self.weights(set, &picture.scope, part);
+            let names: Vec<Option<String>> =
+                std::iter::once(None).chain(picture.features.iter().map(|(name, _)| Some(name.clone()))).collect();
+            let sources = std::iter::once(&mut picture.color).chain(picture.features.iter_mut().map(|(_, it)| it));
+            for (source, name) in sources.zip(names) {
+                // The input's own halves are halves of one seed.
+                let own_halves = [&source.half_a, &source.half_b].into_iter().flatten().filter(|half| half.file == 0);
+                set.stale.extend(own_halves.map(|half| half.layer));
+                (source.half_a, source.half_b) = (None, None);
+                let name = name.map_or_else(|| "colour".to_owned(), |name| format!("feature {}", text::name(&name)));
+                let planes = source.mean.clone();
+                // Files that were named for the input alone hold one feature for all seeds.
+                if !self.reading.own_files.contains(&planes.file) {
+                    continue;
+                }
+                match self.column(set, &planes) {
+                    Ok(column) => {
+                        let halves = self.put_halves(set, &planes, &column, weights, first_half);
+                        (source.half_a, source.half_b) = (Some(halves[0].clone()), Some(halves[1].clone()));
+                    }
+                    Err(lacking) => self.notes.push(format!(
+                        "{name}: {} lacks it, so that it is of the input alone and has no halves",
+                        text::path(&lacking)
+                    )),
+                }
+                let variance = source.variance.as_ref().map(|variance| variance.planes.clone());
+                let variance = variance.filter(|planes| self.reading.own_files.contains(&planes.file));
+                if let Some(planes) = variance
+                    && let Err(lacking) = self.column(set, &planes)
+                {
+                    source.variance = None;
+                    self.notes.push(format!(
+                        "{name}: {} lacks its variance, so that none is used",
+                        text::path(&lacking)
+                    ));
+                }
+            }
+            set.pictures[index] = picture;
+        }
+        let files = std::mem::take(&mut self.halves).into_values().flatten();
+        set.files.extend(files);
+    }
+
+    /// Puts the halves of a signal into the files of the halves, which come behind the set's files. With unequal
+    /// numbers of samples, the halves are such that their mean is the merged mean, and their difference has the noise
+    /// that equal halves would have.
+    fn put_halves(
+        &mut self,
+        set: &BufferSet,
+        planes: &Planes,
+        column: &Column,
+        weights: usize,
+        first_half: usize,
+    ) -> [Planes; 2] {
+        let says_nothing = self.says_nothing(planes);
+        let weights = &self.weights[weights];
+        if self.halves.is_empty() {
+            for own in self.reading.own_files {
+                let half = |in_a: bool| {
+                    let mut file = set.files[*own].clone_without_samples();
+                    // A half is shown as the first of its seeds.
+                    let position = weights.in_a.iter().position(|it| *it == in_a).unwrap_or(0);
+                    if let Some(seed) = position.checked_sub(1).and_then(|seed| self.seeds[seed].files.get(own)) {
+                        file.path.clone_from(&seed.path);
+                    }
+                    file
+                };
+                self.halves.insert(*own, [half(true), half(false)]);
+            }
+        }
+        // Files are in the order of the positions that they belong to.
+        let order = self.reading.own_files.iter().filter(|own| **own < planes.file).count();
+        let at = first_half + 2 * order;
+        let Some(halves) = self.halves.get_mut(&planes.file) else { unreachable!("it was just put there") };
+        for (channel, values) in &column.channels {
+            let (mut a, mut b) = (Vec::with_capacity(values[0].len()), Vec::with_capacity(values[0].len()));
             let mut at_pixel = vec![0.0; values.len()];
             for pixel in 0..values[0].len() {
-                at_pixel.iter_mut().zip(&values).for_each(|(value, plane)| *value = plane[pixel]);
-                let all = weights[picture].merged(&at_pixel, pixel);
-                merged.push(match quantity {
-                    Quantity::VarianceOfMean => all.of_squares,
-                    Quantity::Count => all.sum,
-                    _ => all.mean,
-                } as f32);
+                at_pixel.iter_mut().zip(values).for_each(|(value, plane)| *value = plane[pixel]);
+                let Merged { mean, spread, .. } = weights.merged(&at_pixel, pixel, &says_nothing);
+                a.push((mean + spread) as f32);
+                b.push((mean - spread) as f32);
             }
-            set.files[0].set_plane(part, channel, merged);
+            halves[0].set_plane(column.part, *channel, a);
+            halves[1].set_plane(column.part, *channel, b);
+        }
+        [0, 1].map(|half| Planes { file: at + half, ..planes.clone() })
+    }
+
+    /// Replaces the layers that are means or variances of samples by those of all seeds together.
+    fn average(&mut self, set: &mut BufferSet) {
+        for &file in self.reading.own_files {
+            for layer in 0..set.files[file].layers.len() {
+                let channels = set.files[file].layers[layer].channels.iter().map(|channel| channel.index).collect();
+                let planes = Planes { file, layer, channels };
+                let Some(quantity) = self.averaged(set, &planes) else { continue };
+                let own = &set.files[file].layers[layer];
+                let scope = Scope::of(own, self.meaning(&planes));
+                let (scope, part) = match set.pictures.as_slice() {
+                    // Files beside the input belong to its only picture.
+                    [only] if file > 0 => (only.scope.clone(), set.color_part(0)),
+                    _ => (scope, own.part),
+                };
+                let column = match self.column(set, &planes) {
+                    Ok(column) => column,
+                    Err(lacking) => {
+                        let title = set.files[file].layers[layer].title();
+                        let (layer, lacking) = (text::name(&title), text::path(&lacking));
+                        self.notes.push(format!("layer {layer}: {lacking} lacks it, so that it is of the input alone"));
+                        continue;
+                    }
+                };
+                let weights = self.weights(set, &scope, part);
+                let (weights, says_nothing) = (&self.weights[weights], self.says_nothing(&planes));
+                for (channel, values) in &column.channels {
+                    let mut at_pixel = vec![0.0; values.len()];
+                    let merged = (0..values[0].len()).map(|pixel| {
+                        at_pixel.iter_mut().zip(values).for_each(|(value, plane)| *value = plane[pixel]);
+                        let all = weights.merged(&at_pixel, pixel, &says_nothing);
+                        let value = match quantity {
+                            Quantity::VarianceOfMean => all.of_squares,
+                            Quantity::Count => all.sum,
+                            _ => all.mean,
+                        };
+                        value as f32
+                    });
+                    let merged = merged.collect();
+                    set.files[file].set_plane(column.part, *channel, merged);
+                }
+            }
         }
     }
-}
 
-/// Returns the quantity of a layer that all seeds share; `None` for layers that stay as the input has them.
-fn averaged(file: &ExrFile, classified: &Classified, layer: usize, is_used: bool) -> Option<Quantity> {
-    if crate::classify::is_whole_numbers(file, layer) {
-        return None;
+    /// Returns the quantity of a layer that is of all seeds; `None` for layers that stay as the input has them.
+    fn averaged(&self, set: &BufferSet, planes: &Planes) -> Option<Quantity> {
+        if is_whole_numbers(&set.files[planes.file], planes.layer) {
+            return None;
+        }
+        let is_used = set.pictures.iter().flat_map(|picture| picture.signals()).any(|signal| {
+            let of_variance = signal.variance.as_ref().map(|variance| &variance.planes);
+            let used = [Some(&signal.mean), of_variance].into_iter().flatten();
+            used.into_iter().any(|used| (used.file, used.layer) == (planes.file, planes.layer))
+        });
+        // A colour that no rule names, or a feature that no rule names but comes with a variance.
+        let Some(meaning) = self.meaning(planes) else { return Some(Quantity::Mean).filter(|_| is_used) };
+        let described = |meaning: &Meaning| {
+            let of = meaning.of?;
+            self.reading.classified[of.file].meanings[of.layer].as_ref()?.role
+        };
+        let role = meaning.role.or_else(|| described(meaning));
+        let is_of_samples = role.is_none_or(|role| {
+            matches!(role, RoleName::Color | RoleName::Alpha | RoleName::Light) || role.is_feature()
+        });
+        match meaning.quantity {
+            Quantity::Mean if is_of_samples => Some(Quantity::Mean),
+            quantity if quantity.is_variance() && is_of_samples => Some(quantity),
+            Quantity::Count if role == Some(RoleName::Samples) => Some(Quantity::Count),
+            _ => None,
+        }
     }
-    let meaning = classified.meanings[layer].as_ref();
-    let role_of = |meaning: &Meaning| match meaning.of {
-        Some(of) => classified.meanings[of.layer].as_ref().and_then(|meaning| meaning.role),
-        None => meaning.role,
-    };
-    // A colour that no rule names, or a feature that no rule names but comes with a variance.
-    let Some(meaning) = meaning else { return Some(Quantity::Mean).filter(|_| is_used) };
-    let is_of_samples = role_of(meaning).is_none_or(|role| {
-        matches!(role, RoleName::Color | RoleName::Alpha | RoleName::Light) || role.is_feature()
-    });
-    match meaning.quantity {
-        Quantity::Mean if is_of_samples && meaning.role != Some(RoleName::Denoised) => Some(Quantity::Mean),
-        quantity if quantity.is_variance() && is_of_samples => Some(quantity),
-        Quantity::Count if meaning.role == Some(RoleName::Samples) => Some(Quantity::Count),
-        _ => None,
+
+    fn finish(self, set: &mut BufferSet) {
+        for picture in &mut set.pictures {
+            if let Some(weights) = self.weights.iter().find(|weights| weights.scope == picture.scope) {
+                picture.samples = weights.total();
+                picture.samples_layer = None;
+            }
+        }
+        if let Some(weights) = self.weights.first().filter(|_| self.seeds.len() > 1) {
+            let paths: Vec<String> = std::iter::once(set.input().to_owned())
+                .chain(self.seeds.iter().map(|seed| seed.main().path.clone()))
+                .map(|path| text::path(&path))
+                .collect();
+            let of = |in_a: bool| {
+                let names = paths.iter().zip(&weights.in_a).filter(|(_, it)| **it == in_a).map(|(path, _)| path.clone());
+                names.collect::<Vec<_>>().join(", ")
+            };
+            set.notes.push(format!("half A is the mean of {}; half B of {}", of(true), of(false)));
+        }
+        set.notes.extend(self.notes);
     }
 }

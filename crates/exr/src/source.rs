@@ -64,8 +64,6 @@ pub(crate) struct Picture {
     pub(crate) samples: SamplesPerPixel,
     /// The layer from which the samples are known, if it is one.
     pub(crate) samples_layer: Option<Planes>,
-    /// Whether that layer holds fractions of the number in the header.
-    pub(crate) counts_are_fractions: bool,
 }
 
 impl Picture {
@@ -145,9 +143,14 @@ pub(crate) fn settled_from<E>(
         fill_unknown_variance(variance, &signal.mean, |value| value == UNKNOWN);
     }
     if let Some(miss) = source.miss {
-        // Where one half alone missed, the mean is a distance, if an uncertain one.
-        let means = signal.mean.planes.iter_mut().flatten();
-        means.filter(|value| **value == miss).for_each(|value| *value = f32::INFINITY);
+        // Where one half alone missed, the mean is a distance, if an uncertain one. A position may have the value in one
+        // of its coordinates.
+        let planes = &mut signal.mean.planes;
+        for pixel in 0..planes.first().map_or(0, Vec::len) {
+            if planes.iter().all(|plane| plane[pixel] == miss) {
+                planes.iter_mut().for_each(|plane| plane[pixel] = f32::INFINITY);
+            }
+        }
     }
     Ok(signal)
 }

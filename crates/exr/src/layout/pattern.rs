@@ -10,6 +10,23 @@ pub(crate) struct Pattern {
     regex: Regex,
 }
 
+/// How many names a pattern fits. Narrow patterns are compared first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Breadth {
+    /// Names made of the name of another layer that exists.
+    OfAnother,
+    /// Names that the pattern spells.
+    #[default]
+    Named,
+    /// Any name, or any name with so many dots.
+    Any,
+}
+
+impl Breadth {
+    /// All, the narrowest first.
+    pub(crate) const ALL: [Self; 3] = [Self::OfAnother, Self::Named, Self::Any];
+}
+
 /// The texts that the places of a pattern stand for.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Fit {
@@ -57,9 +74,15 @@ impl Pattern {
         Some(Fit { group: place("group").unwrap_or_default(), of: place("of"), stem: place("stem") })
     }
 
-    /// Whether the pattern fits any name, or any name with so many dots.
-    pub(crate) fn is_any(&self) -> bool {
-        !self.text.is_empty() && self.text.chars().all(|character| matches!(character, '*' | '.'))
+    /// Returns how many names the pattern fits.
+    pub(crate) fn breadth(&self) -> Breadth {
+        if self.has("{of}") {
+            Breadth::OfAnother
+        } else if !self.text.is_empty() && self.text.chars().all(|character| matches!(character, '*' | '.')) {
+            Breadth::Any
+        } else {
+            Breadth::Named
+        }
     }
 
     pub(crate) fn has(&self, place: &str) -> bool {

@@ -144,7 +144,7 @@ impl Sign {
 
 impl Layout {
     /// Returns the part of the input's name that a `{stem}` stands for.
-    fn stem_of(&self, input: &Path) -> Option<String> {
+    pub(crate) fn stem_of(&self, input: &Path) -> Option<String> {
         let name = FileName::of(input);
         let mut patterns = self.recognise.iter().flat_map(|sign| &sign.file);
         patterns.find_map(|pattern| pattern.fit(&name.stem))?.stem

@@ -190,6 +190,9 @@ impl RuleDocument {
         if self.role.is_none() && !describes_another {
             return Err(format!("layer '{first}' has no role, and no {{of}} for the layer that it describes"));
         }
+        if self.miss.is_some_and(f32::is_nan) || self.unknown.is_some_and(f32::is_nan) {
+            return Err(format!("layer '{first}': no value equals nan"));
+        }
         if self.quantity == Quantity::NotAVariance && self.why.is_none() {
             return Err(format!("layer '{first}' does not say why it is not a variance"));
         }
@@ -210,6 +213,23 @@ impl RuleDocument {
 }
 
 impl Rule {
+    /// Returns the rule for layers that a file's header lists as numbers of objects. It fits no name.
+    pub(crate) fn of_ids() -> Self {
+        Self {
+            names: Vec::new(),
+            files: Vec::new(),
+            channels: None,
+            role: Some(RoleName::Id),
+            quantity: Quantity::Mean,
+            unit: None,
+            miss: None,
+            unknown: None,
+            why: None,
+            is_fallback: false,
+            is_copy: false,
+        }
+    }
+
     /// Whether the layer has the channels that the rule asks for.
     pub(crate) fn fits_channels(&self, layer: &FileLayer) -> bool {
         let Some(wanted) = &self.channels else { return true };
