@@ -45,7 +45,7 @@ pub const SECTIONS: &[Section] = &[
         shortcuts: &[
             with(Modifiers::COMMAND, Key::O, Action::AskForFile(Purpose::Input), "open a buffer set"),
             with(Modifiers::COMMAND, Key::R, Action::AskForFile(Purpose::Reference), "open a reference"),
-            with(Modifiers::COMMAND, Key::S, Action::AskForFile(Purpose::SaveResult), "save the result as OpenEXR"),
+            with(Modifiers::COMMAND, Key::S, Action::AskForFile(Purpose::SaveResult), "save the result"),
             with(Modifiers::COMMAND, Key::E, Action::AskForFile(Purpose::SaveView), "save the view as PNG"),
             with(COMMAND_SHIFT, Key::E, Action::AskForFile(Purpose::SaveLayer), "save the layer as PNG"),
             with(
@@ -66,6 +66,8 @@ pub const SECTIONS: &[Section] = &[
         shortcuts: &[
             key(Key::Period, Action::StepLayer(1), "next layer"),
             key(Key::Comma, Action::StepLayer(-1), "layer before"),
+            key(Key::P, Action::StepPicture(1), "next picture of the file"),
+            with(Modifiers::SHIFT, Key::P, Action::StepPicture(-1), "picture before"),
             key(Key::PageDown, Action::StepIteration(1), "next iteration of sampling"),
             key(Key::PageUp, Action::StepIteration(-1), "iteration before"),
             key(Key::Num1, Action::show_layer("result"), "result"),

@@ -15,6 +15,8 @@ impl Viewer {
         match action {
             Action::AskForFile(purpose) => self.ask(purpose, context),
             Action::Open(source) => self.open(*source),
+            Action::ShowPicture(index) => self.show_picture(index),
+            Action::StepPicture(step) => self.step_picture(step),
             Action::Run => self.run(),
             Action::Cancel => self.cancel(),
             Action::Dismiss => (self.trouble, self.notice) = (None, None),

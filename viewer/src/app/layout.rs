@@ -52,6 +52,7 @@ impl Viewer {
             recent: &self.settings.recent,
             compare: self.view.compare,
             progress: self.progress,
+            input: self.document.as_ref().and_then(|document| document.opened.input.as_ref()),
         }
     }
 
