@@ -22,6 +22,8 @@ pub enum Action {
     AskForFile(Purpose),
     /// Opens files.
     Open(Box<Source>),
+    /// Opens the files again that could not be opened without this number of samples per pixel.
+    OpenWithSamples(u32),
     /// Opens another picture of the input, by its index.
     ShowPicture(usize),
     /// Opens the next picture of the input, or the previous one for −1.

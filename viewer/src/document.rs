@@ -114,6 +114,36 @@ impl Source {
     }
 }
 
+/// Files to open.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Opening {
+    /// A frame, and its reference if one is named.
+    Frame(Box<Source>),
+    /// Several files that came together: a frame with files that belong to it, or seeds of one frame.
+    Together {
+        /// The files, at least one; the first is opened if they do not belong together.
+        files: Vec<PathBuf>,
+        /// File of the true image.
+        reference: Option<PathBuf>,
+        /// Samples per pixel of each file, if they are not as the file says.
+        samples: Option<u32>,
+    },
+}
+
+impl Opening {
+    /// Returns the opening with the number of samples per pixel.
+    #[must_use]
+    pub fn with_samples(self, samples: u32) -> Self {
+        let samples = Some(samples);
+        match self {
+            Self::Frame(source) => {
+                Self::Frame(Box::new(Source { request: BufferSetRequest { samples, ..source.request }, ..*source }))
+            }
+            Self::Together { files, reference, .. } => Self::Together { files, reference, samples },
+        }
+    }
+}
+
 /// The files of a frame: the renderer that wrote them, and everything that was found in them and beside them.
 #[derive(Clone, Debug)]
 pub struct InputFiles {

@@ -25,7 +25,7 @@ use stein_exr::{BufferSet, BufferSetRequest, LayerRef};
 
 use crate::adaptive::{Adapted, Loop};
 use crate::device::no_thread;
-use crate::document::{Denoised, InputFiles, MeasuredRun, Opened, Source, input_layers, relative_mse};
+use crate::document::{Denoised, InputFiles, MeasuredRun, Opened, Opening, Source, input_layers, relative_mse};
 use crate::files::short_name;
 use crate::inspector::{Inspected, Question};
 use crate::settings::Parameters;
@@ -53,15 +53,8 @@ pub fn rest_after(frame: Duration) -> Duration {
 /// A request to the worker.
 #[derive(Debug)]
 pub enum Request {
-    /// Reads a frame, and a reference if one is named.
-    Open(Source),
-    /// Reads several files that came together: a frame with files that belong to it, or seeds of one frame.
-    OpenTogether {
-        /// The files, at least one, the likeliest input first.
-        files: Vec<PathBuf>,
-        /// File of the true image.
-        reference: Option<PathBuf>,
-    },
+    /// Reads a frame, and its reference if there is one.
+    Open(Box<Opening>),
     /// Computes which neighbours made a pixel.
     Inspect(Question),
     /// Denoises a frame, and keeps all layers that can be looked at.
@@ -91,7 +84,7 @@ pub enum Request {
 /// The kinds of requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Task {
-    /// [`Request::Open`] and [`Request::OpenTogether`].
+    /// [`Request::Open`].
     Open,
     /// [`Request::Inspect`].
     Inspect,
@@ -123,7 +116,7 @@ impl Request {
     /// Returns the kind of the request.
     pub fn task(&self) -> Task {
         match self {
-            Self::Open(_) | Self::OpenTogether { .. } => Task::Open,
+            Self::Open(_) => Task::Open,
             Self::Inspect(_) => Task::Inspect,
             Self::Denoise { .. } => Task::Denoise,
             Self::Adapt(_) => Task::Adapt,
@@ -427,10 +420,12 @@ impl Desk {
     fn fulfil(&self, job: &WorkerJob, request: Request) -> stein::Result<(Reply, Option<Request>)> {
         let mut rest = request.after(1);
         let reply = match request {
-            Request::Open(source) => Reply::Opened(Box::new(open(job, source)?)),
-            Request::OpenTogether { files, reference } => {
-                Reply::Opened(Box::new(open_together(job, &files, reference.as_deref())?))
-            }
+            Request::Open(opening) => Reply::Opened(Box::new(match *opening {
+                Opening::Frame(source) => open(job, *source)?,
+                Opening::Together { files, reference, samples } => {
+                    open_together(job, &files, reference.as_deref(), samples)?
+                }
+            })),
             Request::Inspect(question) => Reply::Inspected(Box::new(inspect(&self.gpu, job, question)?)),
             Request::Denoise { frame, reference, parameters } => {
                 Reply::Denoised(Box::new(denoise(&self.gpu, job, &frame, reference.as_ref(), parameters)?))
@@ -473,17 +468,6 @@ fn open(job: &WorkerJob, source: Source) -> stein::Result<Opened> {
     let reference = source.reference.as_ref();
     let reference = reference.map(|reference| set.read_reference(0, reference)).transpose()?.map(Arc::new);
     drop(set);
-    if let (Some(LayerRef { file, .. }), Some(image)) = (&source.reference, &reference)
-        && image.extent != frame.extent()
-    {
-        return Err(Error::File {
-            path: file.clone(),
-            cause: FileCause::Other {
-                problem: format!("the reference has {} pixels, the frame {}", image.extent, frame.extent()),
-                remedy: "give a reference of the same size".into(),
-            },
-        });
-    }
     job.check(0.8)?;
     let layers = input_layers(&frame, reference.as_ref());
     let noisy_error = relative_mse(&frame.color().mean, reference.as_ref());
@@ -506,9 +490,14 @@ fn open(job: &WorkerJob, source: Source) -> stein::Result<Opened> {
 /// Opens files that came together: the file that finds most of the others beside it, or else all of them as renders of
 /// one frame with different seeds, or else the first file alone. [`Opened::left_out`] gives the reason if some file is
 /// not open.
-fn open_together(job: &WorkerJob, files: &[PathBuf], reference: Option<&Path>) -> stein::Result<Opened> {
+fn open_together(
+    job: &WorkerJob,
+    files: &[PathBuf],
+    reference: Option<&Path>,
+    samples: Option<u32>,
+) -> stein::Result<Opened> {
     let source = |input: &Path, seeds: &[PathBuf]| Source {
-        request: BufferSetRequest { input: input.to_owned(), seeds: seeds.to_vec(), ..Default::default() },
+        request: BufferSetRequest { input: input.to_owned(), seeds: seeds.to_vec(), samples, ..Default::default() },
         reference: reference.map(LayerRef::whole),
     };
     let Some((first, others)) = files.split_first() else { unreachable!("at least one file came") };

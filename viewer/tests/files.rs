@@ -11,7 +11,7 @@ use common::{drop_files, settle, testdata, window};
 use eframe::Storage;
 use eframe::egui::{Key, Modifiers, Role};
 use egui_kittest::Harness;
-use egui_kittest::kittest::Queryable;
+use egui_kittest::kittest::{NodeT, Queryable};
 use stein::{Denoiser, Image, Preset};
 use stein_exr::picture_file::{self, Format, PngEncoding};
 use stein_exr::{BufferSet, BufferSetRequest, LayerRef, NamedLayer, read_reference, write_layers};
@@ -130,10 +130,11 @@ fn broken_files_are_told_and_the_window_goes_on() {
         }
     }
     assert!(refused > 30, "{refused}");
-    let reference = testdata("cornell_reference.exr");
-    harness.state_mut().open(Source::whole(testdata("anim/shot.0000.exr"), Some(reference)));
+    let reference = testdata("anim/reference.0001.exr");
+    harness.state_mut().open(Source::whole(testdata("cornell_8spp.exr"), Some(reference)));
     settle(&mut harness);
-    harness.get_by_label_contains("the reference has 96×96 pixels");
+    harness.get_by_label_contains("reference.0001.exr, layer");
+    assert!(harness.state().trouble.as_ref().unwrap().1.to_string().contains("its data window is"));
 }
 
 #[test]
@@ -379,6 +380,53 @@ fn pictures_without_layers_are_opened_and_written() {
     assert!(harness.state().trouble.is_none(), "{:?}", harness.state().trouble);
     let opened = &harness.state().document.as_ref().unwrap().opened;
     assert_eq!(opened.source, Some(Source::whole(path("color.png"), None)));
+}
+
+#[test]
+fn a_file_that_does_not_tell_its_samples_asks_for_their_number() {
+    let input = testdata("layouts/mitsuba/moment_of_aov.exr");
+    let mut harness = window(Start {
+        source: Some(Source::whole(input.clone(), None)),
+        parameters: quick("gem"),
+        panel: Panel::Report,
+        ..Default::default()
+    });
+    harness.get_by_label_contains("nothing says how many samples a pixel has");
+    for (text, is_number) in [("0", false), ("16", true)] {
+        let edit = harness.get_by_role(Role::TextInput);
+        edit.focus();
+        edit.type_text(text);
+        harness.run_steps(2);
+        assert_eq!(harness.get_by_label("Open with these").accesskit_node().is_disabled(), !is_number);
+        harness.key_press_modifiers(Modifiers::COMMAND, Key::A);
+        harness.run_steps(1);
+    }
+    harness.get_by_label("Open with these").click();
+    settle(&mut harness);
+    assert!(harness.state().trouble.is_none() && harness.query_by_role(Role::TextInput).is_none());
+    let opened = &harness.state().document.as_ref().unwrap().opened;
+    let request = BufferSetRequest { input, samples: Some(16), ..Default::default() };
+    assert_eq!(opened.source, Some(Source { request, reference: None }));
+    assert!(opened.frame.color().variance_of_mean.is_some());
+}
+
+#[test]
+fn a_variance_that_the_image_contradicts_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = BufferSet::read(&BufferSetRequest { input: testdata("cornell_8spp.exr"), ..Default::default() }).unwrap();
+    let color = set.color();
+    let mut variance = color.variance_of_mean.unwrap();
+    variance.planes.iter_mut().flatten().for_each(|value| *value *= 40.0);
+    let layer = |name: &str, image: Image| NamedLayer {
+        name: name.into(),
+        channels: ["R", "G", "B"].map(String::from).into(),
+        image,
+    };
+    let input = folder.path().join("render.exr");
+    write_layers(&input, &[layer("", color.mean), layer("variance", variance)], &[]).unwrap();
+    let source = Some(Source::whole(input, None));
+    let harness = window(Start { source, parameters: quick("gem"), panel: Panel::Report, ..Default::default() });
+    harness.get_by_label_contains("times too large for the noise in the image");
 }
 
 /// A set whose parts are in files of their own, some of them among other layers, and its reference.

@@ -15,6 +15,7 @@ impl Viewer {
         match action {
             Action::AskForFile(purpose) => self.ask(purpose, context),
             Action::Open(source) => self.open(*source),
+            Action::OpenWithSamples(samples) => self.open_with_samples(samples),
             Action::ShowPicture(index) => self.show_picture(index),
             Action::StepPicture(step) => self.step_picture(step),
             Action::Run => self.run(),

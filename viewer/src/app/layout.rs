@@ -2,6 +2,9 @@
 
 use eframe::egui::{CentralPanel, Context, Frame as Margins, Panel as SidePanel, Ui};
 
+use stein::Error;
+use stein::error::Remedy;
+
 use super::Viewer;
 use crate::action::Action;
 use crate::panel::{self, Panel};
@@ -108,6 +111,10 @@ impl Viewer {
         ];
         let failures: Vec<_> = failures.into_iter().flatten().map(words::told).collect();
         let mut actions: Vec<_> = failures.iter().filter_map(|failure| panel::failure::show(ui, failure)).collect();
+        let needs_samples = |error: &Error| error.remedies().contains(&Remedy::GiveSamples);
+        if self.trouble.as_ref().is_some_and(|(task, error)| *task == Task::Open && needs_samples(error)) {
+            actions.extend(panel::failure::ask_for_samples(ui));
+        }
         self.view.marked = if self.panel == Panel::Kernel { self.inspector.marked() } else { None };
         let (layer, other) = (self.layer().cloned(), self.other().cloned());
         match layer {

@@ -6,7 +6,7 @@ use eframe::egui::{Context, ViewportCommand};
 use stein::Extent;
 
 use super::{Viewer, title};
-use crate::document::Source;
+use crate::document::{Opening, Source};
 use crate::inspector::Question;
 use crate::panel::Panel;
 use crate::settings::Parameters;
@@ -16,7 +16,7 @@ use crate::worker::{Request, Task};
 impl Viewer {
     /// Reads a frame; what is open stays until that is done.
     pub fn open(&mut self, source: Source) {
-        self.read(Request::Open(source));
+        self.read(Opening::Frame(Box::new(source)));
     }
 
     /// Reads files that came together; what is open stays until that is done.
@@ -24,7 +24,15 @@ impl Viewer {
         match <[PathBuf; 1]>::try_from(files) {
             Ok([input]) => self.open(Source::whole(input, reference)),
             Err(files) if files.is_empty() => {}
-            Err(files) => self.read(Request::OpenTogether { files, reference }),
+            Err(files) => self.read(Opening::Together { files, reference, samples: None }),
+        }
+    }
+
+    /// Opens the files again that could not be opened without the number of samples per pixel.
+    pub(super) fn open_with_samples(&mut self, samples: u32) {
+        if let Some(opening) = self.opening.take() {
+            self.trouble.take_if(|(task, _)| *task == Task::Open);
+            self.read(opening.with_samples(samples));
         }
     }
 
@@ -45,13 +53,14 @@ impl Viewer {
         self.show_picture(index.rem_euclid(input.pictures.len() as isize) as usize);
     }
 
-    fn read(&mut self, request: Request) {
+    fn read(&mut self, opening: Opening) {
         self.interrupted |= matches!(self.progress, Some((Task::Denoise, _)));
         self.adaptive.is_running = false;
         self.progress = Some((Task::Open, 0.0));
         self.sweep.is_running = false;
         self.inspector.forget_question();
-        self.worker.send(request);
+        self.opening = Some(opening.clone());
+        self.worker.send(Request::Open(Box::new(opening)));
     }
 
     /// Denoises the open frame with the current parameters.
