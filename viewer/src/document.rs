@@ -214,7 +214,7 @@ pub struct Opened {
     pub repairs: Repairs,
     /// Contradiction between the sources from which the noise is known.
     pub contradiction: Option<Contradiction>,
-    /// Reason why some of the files that came together are not open.
+    /// Reason why some of the files that came together are not open, until the user dismisses it.
     pub left_out: Option<Error>,
     /// True image; `None` if it is not known.
     pub reference: Option<Arc<Image>>,

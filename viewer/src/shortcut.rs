@@ -66,8 +66,6 @@ pub const SECTIONS: &[Section] = &[
         shortcuts: &[
             key(Key::Period, Action::StepLayer(1), "next layer"),
             key(Key::Comma, Action::StepLayer(-1), "layer before"),
-            key(Key::P, Action::StepPicture(1), "next picture of the file"),
-            with(Modifiers::SHIFT, Key::P, Action::StepPicture(-1), "picture before"),
             key(Key::PageDown, Action::StepIteration(1), "next iteration of sampling"),
             key(Key::PageUp, Action::StepIteration(-1), "iteration before"),
             key(Key::Num1, Action::show_layer("result"), "result"),
@@ -98,6 +96,8 @@ pub const SECTIONS: &[Section] = &[
     Section {
         title: "View",
         shortcuts: &[
+            key(Key::P, Action::StepPicture(1), "next picture of the file"),
+            with(Modifiers::SHIFT, Key::P, Action::StepPicture(-1), "picture before"),
             key(Key::F, Action::Fit, "fit the image"),
             key(Key::Num0, Action::ActualSize, "one pixel to one"),
             key(Key::Plus, Action::Zoom(1.25), "magnify"),

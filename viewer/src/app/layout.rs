@@ -1,7 +1,6 @@
 //! The layout of the window: which panel is where, and which part of the state it reads.
 
 use eframe::egui::{CentralPanel, Context, Frame as Margins, Panel as SidePanel, Ui};
-
 use stein::Error;
 use stein::error::Remedy;
 
@@ -108,6 +107,7 @@ impl Viewer {
         let failures = [
             self.trouble.as_ref().map(|(_, error)| error),
             self.notice.as_ref().and_then(|(notice, _)| notice.as_ref().err()),
+            self.document.as_ref().and_then(|document| document.opened.left_out.as_ref()),
         ];
         let failures: Vec<_> = failures.into_iter().flatten().map(words::told).collect();
         let mut actions: Vec<_> = failures.iter().filter_map(|failure| panel::failure::show(ui, failure)).collect();

@@ -33,9 +33,6 @@ impl Viewer {
         if let Some(document) = &self.document {
             opened.keep_pictures(&document.opened);
         }
-        if let Some(reason) = opened.left_out.take() {
-            self.tell(Err(reason), context);
-        }
         opened.source.iter().for_each(|source| self.settings.remember(source));
         let reference = self.waiting_reference.take().filter(|_| opened.reference.is_none());
         self.adaptive.clear();

@@ -38,8 +38,10 @@ pub fn ask_for_samples(ui: &mut Ui) -> Option<Action> {
             let samples = text.trim().parse().ok().filter(|samples| *samples > 0);
             let is_entered = edit.lost_focus() && ui.input(|input| input.key_pressed(Key::Enter));
             let is_clicked = ui.add_enabled(samples.is_some(), Button::new("Open with these")).clicked();
-            ui.data_mut(|data| data.insert_temp(id, text));
             action = samples.filter(|_| is_entered || is_clicked).map(Action::OpenWithSamples);
+            // The next file has another number.
+            let kept = if action.is_some() { String::new() } else { text };
+            ui.data_mut(|data| data.insert_temp(id, kept));
         });
         ui.set_min_width(ui.available_width());
     });
