@@ -73,8 +73,9 @@ impl Purpose {
         matches!(self, Self::SaveView | Self::SaveLayer | Self::SaveResult | Self::SaveParameters)
     }
 
-    /// Returns the path with the ending of the first format, if the path has no ending of a format, such as the number
-    /// of a frame. Keeps the path if the complete path exists, because the user was not asked about replacing that file.
+    /// Returns the path with the ending of the first format, if the path has no ending or another one than those of the
+    /// formats, such as the number of a frame. Keeps the path if the complete path exists, because the user was not
+    /// asked about replacing that file.
     #[must_use]
     pub fn with_ending(self, path: PathBuf) -> PathBuf {
         let has_ending =

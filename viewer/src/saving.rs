@@ -27,8 +27,8 @@ pub enum Content {
     View(Box<Sight>),
     /// One layer, with one pixel of the picture for each pixel of the layer, as PNG.
     Layer(Arc<Layer>, Display),
-    /// Denoised frame as OpenEXR: the contents of its file, with the colour replaced by the denoised one. As PFM or PNG,
-    /// if the path has such an ending: the denoised colour alone.
+    /// Denoised frame as OpenEXR: the contents of its file, with the colour replaced by the denoised one. Or the
+    /// denoised colour alone as PFM or PNG, if the path has such an ending.
     Result {
         /// Buffer set that the frame was read from; `None` for a frame that was rendered here.
         request: Option<Box<BufferSetRequest>>,

@@ -320,7 +320,13 @@ fn files_that_come_together_are_seeds_or_belong_to_one_of_them() {
     harness.get_by_label_contains("is open here, and would be replaced");
     harness.get_by_label("Dismiss").click();
 
-    // Frames of a shot differ by more than noise, and files of other sizes anyway.
+    // Another image of the same size, of which no header tells that it is another one.
+    let (_, albedo) = set.features().find(|(name, _)| *name == "albedo").unwrap();
+    drop_files(&mut harness, &[seeds[0].clone(), write("other.exr", &albedo.mean)]);
+    is_open(&harness, request(&seeds[0], &[]), None);
+    harness.get_by_label_contains("the halves differ by more than noise");
+
+    // Frames of a shot, and files of other sizes.
     let shot = ["anim/shot.0000.exr", "anim/shot.0001.exr"].map(testdata);
     for files in [&shot, &[seeds[0].clone(), shot[1].clone()]] {
         drop_files(&mut harness, files);

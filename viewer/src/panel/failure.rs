@@ -29,7 +29,7 @@ pub fn show(ui: &mut Ui, told: &str) -> Option<Action> {
 /// Asks for the number of samples per pixel of files that do not tell it.
 pub fn ask_for_samples(ui: &mut Ui) -> Option<Action> {
     let mut action = None;
-    Margins::new().fill(ui.visuals().extreme_bg_color).inner_margin(8.0).show(ui, |ui| {
+    Margins::new().fill(ui.visuals().panel_fill).inner_margin(8.0).show(ui, |ui| {
         ui.horizontal(|ui| {
             let id = Id::unique("samples per pixel");
             let mut text = ui.data_mut(|data| data.get_temp::<String>(id)).unwrap_or_default();
