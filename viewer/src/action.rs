@@ -22,6 +22,12 @@ pub enum Action {
     AskForFile(Purpose),
     /// Opens files.
     Open(Box<Source>),
+    /// Opens the files again that could not be opened without this number of samples per pixel.
+    OpenWithSamples(u32),
+    /// Opens another picture of the input, by its index.
+    ShowPicture(usize),
+    /// Opens the next picture of the input, or the previous one for −1.
+    StepPicture(isize),
     /// Denoises again.
     Run,
     /// Cancels the work in flight, closes the help, or unpins the pixel.

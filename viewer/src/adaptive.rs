@@ -166,7 +166,18 @@ fn opened_of(setup: &Setup, number: u32, map: Option<&SamplingMap>, samples: &Sa
     let mut layers = input_layers(&frame, None);
     layers.extend(map.map(|map| drawn_layer(&map.counts)));
     let name = format!("{}, iteration {number} of {}", setup.scene, setup.iterations);
-    Ok(Opened { source: None, name, frame: Arc::new(frame), repairs, reference: None, noisy_error: None, layers })
+    Ok(Opened {
+        source: None,
+        input: None,
+        name,
+        frame: Arc::new(frame),
+        repairs,
+        contradiction: None,
+        left_out: None,
+        reference: None,
+        noisy_error: None,
+        layers,
+    })
 }
 
 fn iteration_of(number: u32, counts: &SampleCounts, opened: Opened, denoised: Denoised) -> Iteration {

@@ -26,7 +26,7 @@ use eframe::wgpu;
 use stein::Gpu;
 
 use crate::adaptive::{Adaptive, Setup};
-use crate::document::{Document, Source};
+use crate::document::{Document, Opening, Source};
 use crate::edit::Edits;
 use crate::files::Dialog;
 use crate::inspector::Inspector;
@@ -107,6 +107,8 @@ pub struct Viewer {
     pub notice: Option<(stein::Result<String>, f64)>,
     /// Whether opening a file cancelled a run; the run starts again if opening fails or is cancelled.
     interrupted: bool,
+    /// Files that are being opened, or that were opened last.
+    opening: Option<Opening>,
     /// Reference for the file that is opened next.
     waiting_reference: Option<PathBuf>,
     /// Frames until the window closes by itself.
@@ -163,6 +165,7 @@ impl Viewer {
             scrolls_to_layer: true,
             notice: None,
             interrupted: false,
+            opening: None,
             waiting_reference: None,
             frames_left: start.exit_after_frames,
             sweeps: start.sweeps,

@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
-use stein::frame::Repairs;
+use stein::frame::{Contradiction, Repairs};
 use stein::method::Plan;
 use stein::sampling::estimated_relative_mse;
-use stein::{Denoiser, Estimate, Frame, Image, Options, Preset, text};
+use stein::{Denoiser, Error, Estimate, Frame, Image, Options, Preset, text};
 use stein_exr::picture_file::PngEncoding;
-use stein_exr::{BufferSetRequest, LayerRef};
+use stein_exr::{BufferSet, BufferSetRequest, LayerRef, LayoutUse};
 use stein_metric as metric;
 
 use crate::files::short_name;
@@ -51,6 +51,12 @@ impl Source {
         layer
             .as_ref()
             .map_or_else(|| short_name(input), |layer| format!("{}::{}", short_name(input), text::name(layer)))
+    }
+
+    /// Returns whether both sources read the same files in the same way, perhaps for another picture of the input.
+    fn is_of_same_files(&self, other: &Self) -> bool {
+        let whole = |source: &Self| BufferSetRequest { layer: None, ..source.request.clone() };
+        whole(self) == whole(other)
     }
 
     /// Returns the source with absolute paths, which do not depend on the working folder.
@@ -112,17 +118,108 @@ impl Source {
     }
 }
 
+/// Files to open.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Opening {
+    /// A frame, and its reference if one is named.
+    Frame(Box<Source>),
+    /// Several files that came together: a frame with files that belong to it, or seeds of one frame.
+    Together {
+        /// The files, at least one; the first is opened if they do not belong together.
+        files: Vec<PathBuf>,
+        /// File of the true image.
+        reference: Option<PathBuf>,
+        /// Samples per pixel of each file, if they are not as the file says.
+        samples: Option<u32>,
+    },
+}
+
+impl Opening {
+    /// Returns the opening with the number of samples per pixel.
+    #[must_use]
+    pub fn with_samples(self, samples: u32) -> Self {
+        let samples = Some(samples);
+        match self {
+            Self::Frame(source) => {
+                Self::Frame(Box::new(Source { request: BufferSetRequest { samples, ..source.request }, ..*source }))
+            }
+            Self::Together { files, reference, .. } => Self::Together { files, reference, samples },
+        }
+    }
+}
+
+/// The files of a frame: the renderer that wrote them, and everything that was found in them and beside them.
+#[derive(Clone, Debug)]
+pub struct InputFiles {
+    /// Layout by which the input was read.
+    pub layout: LayoutUse,
+    /// Renders with other seeds that were merged with the input: those of the request, and those found beside it.
+    pub seeds: Vec<PathBuf>,
+    /// Other files that were found beside the input and belong to it.
+    pub siblings: Vec<PathBuf>,
+    /// Names of the pictures in the input: the layers of their colours. A name is empty for plain `R G B`.
+    pub pictures: Vec<String>,
+    /// Index of the picture that is open.
+    pub picture: usize,
+}
+
+impl InputFiles {
+    /// Describes the files of a set. The first picture is the open one.
+    pub fn new(set: &BufferSet) -> Self {
+        Self {
+            layout: set.layout().clone(),
+            seeds: set.seeds().to_vec(),
+            siblings: set.siblings().to_vec(),
+            pictures: set.pictures().map(str::to_owned).collect(),
+            picture: 0,
+        }
+    }
+
+    /// Returns the files that were found beside the input, without being requested.
+    pub fn found<'a>(&'a self, request: &'a BufferSetRequest) -> impl Iterator<Item = &'a Path> {
+        let seeds = self.seeds.iter().filter(|seed| !request.seeds.contains(seed));
+        self.siblings.iter().chain(seeds).map(PathBuf::as_path)
+    }
+
+    /// Describes the files for people, without those that the request names, one line each.
+    pub fn lines(&self, request: &BufferSetRequest) -> Vec<String> {
+        let LayoutUse { title, recognised_by, .. } = &self.layout;
+        let found = |what: &str, files: &mut dyn Iterator<Item = &PathBuf>| {
+            let names: Vec<_> = files.map(|file| short_name(file)).collect();
+            (!names.is_empty()).then(|| format!("{what}: {}", names.join(", ")))
+        };
+        let seeds = &mut self.seeds.iter().filter(|seed| !request.seeds.contains(seed));
+        let picture = self.pictures.get(self.picture).filter(|_| self.pictures.len() > 1).map(|name| {
+            format!("picture {} of {} in the file: {}", self.picture + 1, self.pictures.len(), picture_title(name))
+        });
+        let lines =
+            [found("other seeds beside it", seeds), found("found beside it", &mut self.siblings.iter()), picture];
+        std::iter::once(format!("layout: {title} ({recognised_by})")).chain(lines.into_iter().flatten()).collect()
+    }
+}
+
+/// Returns the name of a picture for people.
+pub fn picture_title(name: &str) -> String {
+    if name.is_empty() { "R G B".into() } else { text::name(name).into_owned() }
+}
+
 /// A frame that was read or rendered, before any run.
 #[derive(Clone, Debug)]
 pub struct Opened {
     /// Source of the frame; `None` for a frame that was rendered here.
     pub source: Option<Source>,
+    /// Files of the frame; `None` for a frame that was rendered here.
+    pub input: Option<InputFiles>,
     /// Title of the frame for people.
     pub name: String,
     /// Frame to denoise.
     pub frame: Arc<Frame>,
     /// Repairs without which the frame could not be made.
     pub repairs: Repairs,
+    /// Contradiction between the sources from which the noise is known.
+    pub contradiction: Option<Contradiction>,
+    /// Reason why some of the files that came together are not open, until the user dismisses it.
+    pub left_out: Option<Error>,
     /// True image; `None` if it is not known.
     pub reference: Option<Arc<Image>>,
     /// Relative MSE of the noisy colour against the reference.
@@ -178,6 +275,29 @@ pub struct Document {
 }
 
 impl Opened {
+    /// Returns the source of a picture in the input, by its index; `None` for a frame that was rendered here, or if the
+    /// input has no such picture.
+    pub fn picture(&self, index: usize) -> Option<Source> {
+        let (source, input) = (self.source.as_ref()?, self.input.as_ref()?);
+        let name = input.pictures.get(index)?;
+        // The first picture is the one that is open if none is named.
+        let layer = (index > 0).then(|| name.clone());
+        Some(Source { request: BufferSetRequest { layer, ..source.request.clone() }, ..source.clone() })
+    }
+
+    /// Takes over the list of pictures from the document that was open before, if this is another picture of its input:
+    /// a set that was read for one picture does not know the others.
+    pub fn keep_pictures(&mut self, before: &Self) {
+        let (Some(source), Some(input)) = (&self.source, &mut self.input) else { return };
+        let (Some(source_before), Some(input_before)) = (&before.source, &before.input) else { return };
+        let place = |layer: &String| input_before.pictures.iter().position(|picture| picture == layer);
+        if let Some(picture) = source.request.layer.as_ref().and_then(place)
+            && source.is_of_same_files(source_before)
+        {
+            (input.pictures, input.picture) = (input_before.pictures.clone(), picture);
+        }
+    }
+
     /// Takes over the layer of a reference that was not known before.
     pub fn compare(&mut self, reference: &Arc<Layer>) {
         let image = &reference.shown.image;

@@ -14,6 +14,9 @@ use crate::device::no_thread;
 /// A dialog that ends within this time without an answer never appeared: nobody closes one that fast.
 const SOONEST: Duration = Duration::from_millis(400);
 
+/// Endings of the files that hold pictures.
+pub const ENDINGS: [&str; 3] = ["exr", "pfm", "png"];
+
 /// Purpose of a file that the user is to choose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
@@ -47,13 +50,22 @@ impl Purpose {
         }
     }
 
-    /// Returns the name of the format, and the ending of its files.
-    fn format(self) -> (&'static str, &'static str) {
+    /// Returns the choices of the dialog: names of formats, each with the endings of its files. The first ending is the
+    /// one that a file to write gets.
+    fn formats(self) -> &'static [(&'static str, &'static [&'static str])] {
         match self {
-            Self::Input | Self::Reference | Self::SaveResult => ("OpenEXR", "exr"),
-            Self::SaveView | Self::SaveLayer => ("PNG", "png"),
-            Self::Parameters | Self::SaveParameters => ("TOML", "toml"),
+            Self::Input | Self::Reference => &[("OpenEXR, PFM, PNG", &ENDINGS)],
+            Self::SaveResult => {
+                &[("OpenEXR", &["exr"]), ("PFM (the colour alone)", &["pfm"]), ("PNG (the colour alone)", &["png"])]
+            }
+            Self::SaveView | Self::SaveLayer => &[("PNG", &["png"])],
+            Self::Parameters | Self::SaveParameters => &[("TOML", &["toml"])],
         }
+    }
+
+    /// Returns all endings of the formats.
+    fn endings(self) -> impl Iterator<Item = &'static str> {
+        self.formats().iter().flat_map(|(_, endings)| endings.iter().copied())
     }
 
     /// Returns whether a file is written.
@@ -61,13 +73,14 @@ impl Purpose {
         matches!(self, Self::SaveView | Self::SaveLayer | Self::SaveResult | Self::SaveParameters)
     }
 
-    /// Returns the path with the ending of the format, if the path has no ending or another one, such as the number of
-    /// a frame. Keeps the path if the complete path exists, because the user was not asked about replacing that file.
+    /// Returns the path with the ending of the first format, if the path has no ending or another one than those of the
+    /// formats, such as the number of a frame. Keeps the path if the complete path exists, because the user was not
+    /// asked about replacing that file.
     #[must_use]
     pub fn with_ending(self, path: PathBuf) -> PathBuf {
-        let ending = self.format().1;
-        let has_ending = path.extension().is_some_and(|own| own.eq_ignore_ascii_case(ending));
-        let complete = path.with_added_extension(ending);
+        let has_ending =
+            path.extension().is_some_and(|own| self.endings().any(|ending| own.eq_ignore_ascii_case(ending)));
+        let complete = self.endings().next().map_or_else(|| path.clone(), |ending| path.with_added_extension(ending));
         if has_ending || complete.exists() { path } else { complete }
     }
 }
@@ -76,7 +89,7 @@ impl Purpose {
 #[derive(Debug)]
 pub struct Dialog {
     purpose: Purpose,
-    answer: Receiver<Result<Option<PathBuf>>>,
+    answer: Receiver<Result<Vec<PathBuf>>>,
 }
 
 impl Dialog {
@@ -86,9 +99,13 @@ impl Dialog {
     /// [`Error::Device`] if the system cannot start a thread.
     pub fn open(purpose: Purpose, beside: Option<&Path>, name: &str, context: &Context) -> Result<Self> {
         let (sender, answer) = channel();
-        let (format, ending) = purpose.format();
-        let dialog = rfd::FileDialog::new().set_title(purpose.title()).add_filter(format, &[ending]);
-        let dialog = if purpose.saves() { dialog.set_file_name(format!("{name}.{ending}")) } else { dialog };
+        let dialog = rfd::FileDialog::new().set_title(purpose.title());
+        let formats = purpose.formats().iter();
+        let dialog = formats.fold(dialog, |dialog, (format, endings)| dialog.add_filter(*format, endings));
+        let dialog = match purpose.endings().next().filter(|_| purpose.saves()) {
+            Some(ending) => dialog.set_file_name(format!("{name}.{ending}")),
+            None => dialog,
+        };
         let dialog = match beside.and_then(Path::parent) {
             Some(folder) => dialog.set_directory(folder),
             None => dialog,
@@ -96,34 +113,47 @@ impl Dialog {
         let context = context.clone();
         let ask = move || {
             let asked = Instant::now();
-            let path = if purpose.saves() {
-                dialog.save_file().map(|path| purpose.with_ending(path))
+            let paths = if purpose.saves() {
+                dialog.save_file().map(|path| purpose.with_ending(path)).into_iter().collect()
+            } else if purpose == Purpose::Input {
+                whole_paths(dialog.pick_files().unwrap_or_default())
             } else {
-                dialog.pick_file()
+                dialog.pick_file().into_iter().collect()
             };
             // Nobody waits for the answer once the window is closed.
-            let _ = sender.send(answered(path, asked.elapsed()));
+            let _ = sender.send(answered(paths, asked.elapsed()));
             context.request_repaint();
         };
         std::thread::Builder::new().name("stein-dialog".into()).spawn(ask).map_err(no_thread)?;
         Ok(Self { purpose, answer })
     }
 
-    /// Returns the chosen file, if the user chose one; pending while the dialog is open.
-    pub fn answer(&self) -> Poll<Result<Option<(Purpose, PathBuf)>>> {
+    /// Returns the chosen files, of which there may be none and, for an input, several; pending while the dialog is
+    /// open.
+    pub fn answer(&self) -> Poll<Result<(Purpose, Vec<PathBuf>)>> {
         match self.answer.try_recv() {
-            Ok(answer) => Poll::Ready(answer.map(|path| path.map(|path| (self.purpose, path)))),
-            Err(TryRecvError::Disconnected) => Poll::Ready(Ok(None)),
+            Ok(answer) => Poll::Ready(answer.map(|paths| (self.purpose, paths))),
+            Err(TryRecvError::Disconnected) => Poll::Ready(Ok((self.purpose, Vec::new()))),
             Err(TryRecvError::Empty) => Poll::Pending,
         }
     }
 }
 
+/// Mends paths that a dialog of `zenity` gives: it separates them by `|`, which a path may hold as well.
+fn whole_paths(mut paths: Vec<PathBuf>) -> Vec<PathBuf> {
+    paths.retain(|path| !path.as_os_str().is_empty());
+    if paths.iter().all(|path| path.exists()) {
+        return paths;
+    }
+    let whole = PathBuf::from(paths.iter().map(|path| path.as_os_str()).collect::<Vec<_>>().join("|".as_ref()));
+    if whole.exists() { vec![whole] } else { paths }
+}
+
 /// Returns the answer of a dialog, or an error if the system cannot show dialogs: such a dialog ends without an answer
 /// as if the user had closed it, but at once.
-fn answered(path: Option<PathBuf>, after: Duration) -> Result<Option<PathBuf>> {
-    if path.is_some() || after >= SOONEST {
-        return Ok(path);
+fn answered(paths: Vec<PathBuf>, after: Duration) -> Result<Vec<PathBuf>> {
+    if !paths.is_empty() || after >= SOONEST {
+        return Ok(paths);
     }
     Err(Error::Request(RequestCause::Other {
         problem: "no file dialog can be shown".into(),
@@ -160,6 +190,8 @@ mod tests {
             ("shot.0001", "shot.0001.exr"),
             ("taken", "taken"),
             ("taken.exr", "taken.exr"),
+            ("a.pfm", "a.pfm"),
+            ("a.PNG", "a.PNG"),
         ] {
             assert_eq!(named(name), folder.path().join(file), "{name}");
         }
@@ -168,9 +200,21 @@ mod tests {
     #[test]
     fn a_dialog_that_was_never_shown_is_told_from_one_that_was_closed() {
         let (at_once, later) = (Duration::from_millis(3), Duration::from_secs(2));
-        assert_eq!(answered(Some("a.exr".into()), at_once).ok(), Some(Some("a.exr".into())));
-        assert!(
-            matches!(answered(None, later), Ok(None)) && matches!(answered(None, at_once), Err(Error::Request { .. }))
-        );
+        assert_eq!(answered(vec!["a.exr".into()], at_once).ok(), Some(vec!["a.exr".into()]));
+        assert_eq!(answered(Vec::new(), later).ok(), Some(Vec::new()));
+        assert!(matches!(answered(Vec::new(), at_once), Err(Error::Request { .. })));
+    }
+
+    #[test]
+    fn a_path_with_the_separator_of_a_dialog_stays_whole() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let [odd, other] = ["a|b.exr", "c.exr"].map(|name| folder.path().join(name));
+        std::fs::write(&other, "").expect("a file");
+        assert_eq!(whole_paths(vec![other.clone(), "".into()]), std::slice::from_ref(&other));
+        let parts = || vec![folder.path().join("a"), "b.exr".into()];
+        assert_eq!(whole_paths(parts()), parts());
+        if std::fs::write(&odd, "").is_ok() {
+            assert_eq!(whole_paths(parts()), [odd]);
+        }
     }
 }

@@ -11,6 +11,7 @@ use stein_exr::options::{choice, gpu_options};
 use stein_exr::{BufferSetRequest, LayerRef};
 use stein_viewer::adaptive::Setup;
 use stein_viewer::document::Source;
+use stein_viewer::files::is_reference;
 use stein_viewer::panel::Panel;
 use stein_viewer::screenshot::{self, Shot};
 use stein_viewer::settings::Parameters;
@@ -30,6 +31,8 @@ Environment:
 
 Examples:
   stein-viewer testdata/dof_spheres_32spp.exr --reference testdata/dof_spheres_reference.exr
+  stein-viewer seed1.exr seed2.exr
+  stein-viewer color.pfm --feature albedo=albedo.pfm --feature normal=normal.pfm
   stein-viewer both.exr::beauty --half-a a.exr --half-b b.exr --reference all.exr::converged
   stein-viewer render.exr --screenshot selection.png --layer selection";
 
@@ -39,9 +42,12 @@ Examples:
 #[command(group = clap::ArgGroup::new("shown").args(["file", "adapt"]).multiple(false))]
 struct Args {
     /// OpenEXR file with the noisy image, usually its halves or variance, and features; with the layer of the image if
-    /// that has an unusual name
+    /// that has an unusual name, or if the file holds several images. Or a PFM or PNG file with the noisy image
     #[arg(value_name = "FILE[::LAYER]")]
     file: Option<LayerRef>,
+    /// Other renders of the same frame with other seeds: all are merged, and their differences tell the noise
+    #[arg(value_name = "SEED")]
+    further: Vec<PathBuf>,
     /// The true image, to compare with
     #[arg(long, value_name = "FILE[::LAYER]", requires = "file")]
     reference: Option<LayerRef>,
@@ -260,12 +266,23 @@ fn start(args: &Args) -> Result<Start, Failure> {
                 .into(),
         });
     }
+    if let Some(reference) = args.further.iter().find(|path| is_reference(path)) {
+        let path = text::path(reference);
+        return Err(Failure {
+            code: 2,
+            message: format!(
+                "{path}: is it a reference? Further files are renders with other seeds\
+                 \n  remedy: give a reference as --reference {path}, and a seed of such a name as --seed {path}"
+            ),
+        });
+    }
     let parameters = parameters(args)?;
     let named = |layer: LayerRef| if args.literal { layer.literal() } else { layer };
     let request = |input: LayerRef| {
         let LayerRef { file, layer } = named(input);
         let others = if args.literal { args.others.literal() } else { args.others.clone() };
-        BufferSetRequest { input: file, layer, ..others }
+        let seeds = [args.further.clone(), others.seeds.clone()].concat();
+        BufferSetRequest { input: file, layer, seeds, ..others }
     };
     let source =
         args.file.clone().map(|input| Source { request: request(input), reference: args.reference.clone().map(named) });

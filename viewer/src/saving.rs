@@ -9,6 +9,7 @@ use std::thread::JoinHandle;
 use eframe::egui::{CentralPanel, Context, Frame as Margins, Pos2, Rect, Theme, Vec2};
 use stein::error::{DeviceCause, FileCause};
 use stein::{Error, Estimate, Gpu, Image, Method, Result};
+use stein_exr::picture_file::{self, Format, PngEncoding};
 use stein_exr::{BufferSet, BufferSetRequest, NamedLayer, atomic_file, write_estimate, write_layers};
 
 use crate::device::no_thread;
@@ -26,7 +27,8 @@ pub enum Content {
     View(Box<Sight>),
     /// One layer, with one pixel of the picture for each pixel of the layer, as PNG.
     Layer(Arc<Layer>, Display),
-    /// Denoised frame as OpenEXR: the contents of its file, with the colour replaced by the denoised one.
+    /// Denoised frame as OpenEXR: the contents of its file, with the colour replaced by the denoised one. Or the
+    /// denoised colour alone as PFM or PNG, if the path has such an ending.
     Result {
         /// Buffer set that the frame was read from; `None` for a frame that was rendered here.
         request: Option<Box<BufferSetRequest>>,
@@ -120,7 +122,11 @@ impl Content {
     /// Writes the file. Returns the message for the user.
     fn write(self, gpu: &Gpu, path: &Path) -> Result<String> {
         let mut notes = Vec::new();
+        let format = Format::from_extension(path).filter(|format| *format != Format::OpenExr);
         match self {
+            Self::Result { estimate, .. } if let Some(format) = format => {
+                notes = write_color(path, &estimate.color, format)?;
+            }
             Self::View(sight) => sight.picture(gpu)?.write_png(path)?,
             Self::Layer(layer, display) => picture_of(gpu, &layer, display)?.write_png(path)?,
             Self::Parameters(parameters) => {
@@ -146,6 +152,17 @@ impl Content {
         notes.insert(0, format!("Wrote {}", short_name(path)));
         Ok(notes.join("; "))
     }
+}
+
+/// Writes a colour as PFM or PNG. Returns remarks for the user.
+fn write_color(path: &Path, color: &Image, format: Format) -> Result<Vec<String>> {
+    let counts = picture_file::write(path, color, format, PngEncoding::Srgb)?;
+    let changed = [
+        (counts.clamped_values, "values outside 0 to 1 were clamped"),
+        (counts.non_finite_values, "values that were not finite became 0"),
+    ];
+    let changed = changed.into_iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
+    Ok(std::iter::once("the colour alone".to_owned()).chain(changed).collect())
 }
 
 impl Sight {

@@ -45,7 +45,7 @@ pub const SECTIONS: &[Section] = &[
         shortcuts: &[
             with(Modifiers::COMMAND, Key::O, Action::AskForFile(Purpose::Input), "open a buffer set"),
             with(Modifiers::COMMAND, Key::R, Action::AskForFile(Purpose::Reference), "open a reference"),
-            with(Modifiers::COMMAND, Key::S, Action::AskForFile(Purpose::SaveResult), "save the result as OpenEXR"),
+            with(Modifiers::COMMAND, Key::S, Action::AskForFile(Purpose::SaveResult), "save the result"),
             with(Modifiers::COMMAND, Key::E, Action::AskForFile(Purpose::SaveView), "save the view as PNG"),
             with(COMMAND_SHIFT, Key::E, Action::AskForFile(Purpose::SaveLayer), "save the layer as PNG"),
             with(
@@ -96,6 +96,8 @@ pub const SECTIONS: &[Section] = &[
     Section {
         title: "View",
         shortcuts: &[
+            key(Key::P, Action::StepPicture(1), "next picture of the file"),
+            with(Modifiers::SHIFT, Key::P, Action::StepPicture(-1), "picture before"),
             key(Key::F, Action::Fit, "fit the image"),
             key(Key::Num0, Action::ActualSize, "one pixel to one"),
             key(Key::Plus, Action::Zoom(1.25), "magnify"),

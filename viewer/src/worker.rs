@@ -8,6 +8,7 @@
 use std::any::Any;
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -16,16 +17,19 @@ use std::time::{Duration, Instant};
 
 use eframe::egui::Context;
 use stein::error::{FileCause, RequestCause};
+use stein::frame::Contradiction;
 use stein::gpu::Pace;
 use stein::sampling::estimated_relative_mse;
 use stein::{Denoiser, Error, Frame, Gpu, Image, Options};
-use stein_exr::{BufferSet, LayerRef, read_reference};
+use stein_exr::{BufferSet, BufferSetRequest, LayerRef};
 
 use crate::adaptive::{Adapted, Loop};
 use crate::device::no_thread;
-use crate::document::{Denoised, MeasuredRun, Opened, Source, input_layers, relative_mse};
+use crate::document::{Denoised, InputFiles, MeasuredRun, Opened, Opening, Source, input_layers, relative_mse};
+use crate::files::short_name;
 use crate::inspector::{Inspected, Question};
 use crate::settings::Parameters;
+use crate::words;
 
 /// Number of dispatches between which the window can draw, on a graphics card. A processor takes long for a single one.
 const DISPATCHES_AT_ONCE: usize = 8;
@@ -49,8 +53,8 @@ pub fn rest_after(frame: Duration) -> Duration {
 /// A request to the worker.
 #[derive(Debug)]
 pub enum Request {
-    /// Reads a frame, and a reference if one is named.
-    Open(Source),
+    /// Reads a frame, and its reference if there is one.
+    Open(Box<Opening>),
     /// Computes which neighbours made a pixel.
     Inspect(Question),
     /// Denoises a frame, and keeps all layers that can be looked at.
@@ -416,7 +420,12 @@ impl Desk {
     fn fulfil(&self, job: &WorkerJob, request: Request) -> stein::Result<(Reply, Option<Request>)> {
         let mut rest = request.after(1);
         let reply = match request {
-            Request::Open(source) => Reply::Opened(Box::new(open(job, source)?)),
+            Request::Open(opening) => Reply::Opened(Box::new(match *opening {
+                Opening::Frame(source) => open(job, *source)?,
+                Opening::Together { files, reference, samples } => {
+                    open_together(job, &files, reference.as_deref(), samples)?
+                }
+            })),
             Request::Inspect(question) => Reply::Inspected(Box::new(inspect(&self.gpu, job, question)?)),
             Request::Denoise { frame, reference, parameters } => {
                 Reply::Denoised(Box::new(denoise(&self.gpu, job, &frame, reference.as_ref(), parameters)?))
@@ -439,8 +448,8 @@ fn open(job: &WorkerJob, source: Source) -> stein::Result<Opened> {
     job.check(0.0)?;
     let mut set = BufferSet::read(&source.request).map_err(|error| error.in_file(&source.request.input))?;
     job.check(0.4)?;
+    let input = InputFiles::new(&set);
     let (frame, repairs) = set.take_frame().map_err(|error| error.in_file(&source.request.input))?;
-    drop(set);
     let most = job.desk.gpu.wgpu_device().limits().max_texture_dimension_2d;
     if frame.extent().width.max(frame.extent().height) > most {
         return Err(Error::File {
@@ -456,28 +465,95 @@ fn open(job: &WorkerJob, source: Source) -> stein::Result<Opened> {
         });
     }
     job.check(0.6)?;
-    let reference = source
-        .reference
-        .as_ref()
-        .map(|reference| read_reference(&reference.file, reference.layer.as_deref()))
-        .transpose()?
-        .map(Arc::new);
-    if let (Some(LayerRef { file, .. }), Some(image)) = (&source.reference, &reference)
-        && image.extent != frame.extent()
-    {
-        return Err(Error::File {
-            path: file.clone(),
-            cause: FileCause::Other {
-                problem: format!("the reference has {} pixels, the frame {}", image.extent, frame.extent()),
-                remedy: "give a reference of the same size".into(),
-            },
-        });
-    }
+    let reference = source.reference.as_ref();
+    let reference = reference.map(|reference| set.read_reference(0, reference)).transpose()?.map(Arc::new);
+    drop(set);
     job.check(0.8)?;
     let layers = input_layers(&frame, reference.as_ref());
     let noisy_error = relative_mse(&frame.color().mean, reference.as_ref());
     let name = source.name();
-    Ok(Opened { source: Some(source), name, frame: Arc::new(frame), repairs, reference, noisy_error, layers })
+    let contradiction = frame.check_of_noise().contradiction();
+    Ok(Opened {
+        source: Some(source),
+        input: Some(input),
+        name,
+        frame: Arc::new(frame),
+        repairs,
+        contradiction,
+        left_out: None,
+        reference,
+        noisy_error,
+        layers,
+    })
+}
+
+/// Opens files that came together: the file that finds most of the others beside it, or else all of them as renders of
+/// one frame with different seeds, or else the first file alone. [`Opened::left_out`] gives the reason if some file is
+/// not open.
+fn open_together(
+    job: &WorkerJob,
+    files: &[PathBuf],
+    reference: Option<&Path>,
+    samples: Option<u32>,
+) -> stein::Result<Opened> {
+    let source = |input: &Path, seeds: &[PathBuf]| Source {
+        request: BufferSetRequest { input: input.to_owned(), seeds: seeds.to_vec(), samples, ..Default::default() },
+        reference: reference.map(LayerRef::whole),
+    };
+    let Some((first, others)) = files.split_first() else { unreachable!("at least one file came") };
+    if others.is_empty() {
+        return open(job, source(first, &[]));
+    }
+    // Buffers of one frame have the same size as well, so that only their names tell them from seeds.
+    let mut best: Option<(&Path, Vec<&PathBuf>)> = None;
+    for input in files {
+        job.check(0.0)?;
+        let request = source(input, &[]).request;
+        let Ok(set) = BufferSet::read(&request) else { continue };
+        let found = InputFiles::new(&set);
+        let is_left_out =
+            |file: &&PathBuf| *file != input && !found.found(&request).any(|other| other == file.as_path());
+        let left_out: Vec<_> = files.iter().filter(is_left_out).collect();
+        let least = best.as_ref().map_or(others.len(), |(_, left_out)| left_out.len());
+        if left_out.len() < least {
+            best = Some((input, left_out));
+        }
+    }
+    if let Some((input, left_out)) = best {
+        let mut opened = open(job, source(input, &[]))?;
+        let names: Vec<_> = left_out.into_iter().map(|file| short_name(file)).collect();
+        opened.left_out = (!names.is_empty()).then(|| {
+            Error::Request(RequestCause::Other {
+                problem: format!(
+                    "{} is open with the files that belong to it, left out: {}",
+                    short_name(input),
+                    names.join(", ")
+                ),
+                remedy: "drop seeds of one frame without other files".into(),
+            })
+        });
+        return Ok(opened);
+    }
+    let reason = match open(job, source(first, others)) {
+        Ok(opened) => match opened.contradiction {
+            // Frames of a shot and views of a scene may be alike in everything but their content.
+            Some(different @ Contradiction::HalvesTooDifferent { .. }) => Error::File {
+                path: others[0].clone(),
+                cause: FileCause::NotASeed { of: first.clone(), reason: different.to_string() },
+            },
+            _ => return Ok(opened),
+        },
+        Err(Error::Cancelled) => return Err(Error::Cancelled),
+        Err(error) => error,
+    };
+    let mut opened = open(job, source(first, &[]))?;
+    let told = words::told(&reason);
+    let (problem, remedy) = told.split_once("\n  remedy: ").unwrap_or((&told, "open one file at a time"));
+    opened.left_out = Some(Error::Request(RequestCause::Other {
+        problem: format!("only {} is open: {problem}", short_name(first)),
+        remedy: remedy.into(),
+    }));
+    Ok(opened)
 }
 
 fn inspect(gpu: &Gpu, job: &WorkerJob, question: Question) -> stein::Result<Inspected> {

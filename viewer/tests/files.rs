@@ -9,16 +9,17 @@ use std::path::{Path, PathBuf};
 
 use common::{drop_files, settle, testdata, window};
 use eframe::Storage;
-use eframe::egui::Key;
+use eframe::egui::{Key, Modifiers, Role};
 use egui_kittest::Harness;
-use egui_kittest::kittest::Queryable;
+use egui_kittest::kittest::{NodeT, Queryable};
 use stein::{Denoiser, Image, Preset};
+use stein_exr::picture_file::{self, Format, PngEncoding};
 use stein_exr::{BufferSet, BufferSetRequest, LayerRef, NamedLayer, read_reference, write_layers};
 use stein_viewer::document::Source;
 use stein_viewer::files::{Purpose, is_reference, short_name};
 use stein_viewer::panel::Panel;
 use stein_viewer::settings::{Parameters, Settings};
-use stein_viewer::{Start, Viewer};
+use stein_viewer::{Start, Viewer, words};
 
 /// A method that is done soon.
 fn quick(method: &str) -> Option<Parameters> {
@@ -129,10 +130,11 @@ fn broken_files_are_told_and_the_window_goes_on() {
         }
     }
     assert!(refused > 30, "{refused}");
-    let reference = testdata("cornell_reference.exr");
-    harness.state_mut().open(Source::whole(testdata("anim/shot.0000.exr"), Some(reference)));
+    let reference = testdata("anim/reference.0001.exr");
+    harness.state_mut().open(Source::whole(testdata("cornell_8spp.exr"), Some(reference)));
     settle(&mut harness);
-    harness.get_by_label_contains("the reference has 96×96 pixels");
+    harness.get_by_label_contains("reference.0001.exr, layer");
+    assert!(harness.state().trouble.as_ref().unwrap().1.to_string().contains("its data window is"));
 }
 
 #[test]
@@ -146,7 +148,7 @@ fn files_that_are_dropped_are_opened_and_a_reference_is_told_by_its_name() {
         assert_eq!(*source, Source::whole(input.clone(), reference.cloned()));
         assert_eq!(document.denoised.as_ref().unwrap().error.is_some(), reference.is_some());
     };
-    harness.get_by_label("Drop an OpenEXR buffer set here");
+    harness.get_by_label("Drop the files of a frame here");
     drop_files(&mut harness, std::slice::from_ref(&first));
     is_open(&harness, &first, None);
     // In whichever order they come.
@@ -166,8 +168,12 @@ fn files_that_are_dropped_are_opened_and_a_reference_is_told_by_its_name() {
     is_open(&harness, &first, Some(&reference));
     drop_files(&mut harness, &[second.clone(), broken]);
     assert!(harness.state().trouble.is_none(), "one file is opened, the first");
-    harness.get_by_label("One file is open at a time, left out: cut_in_block_1.exr");
+    harness.get_by_label_contains("only shot.0001.exr is open: ");
+    harness.get_by_label_contains("cut_in_block_1.exr");
     is_open(&harness, &second, None);
+    drop_files(&mut harness, &[reference.clone(), testdata("cornell_reference.exr")]);
+    harness.get_by_label("A frame has one reference, left out: cornell_reference.exr");
+    is_open(&harness, &second, Some(&reference));
 
     // With nothing to compare with, it waits for the next frame, and for no other.
     let mut harness = window(Start { parameters: quick("gem"), ..Default::default() });
@@ -194,6 +200,241 @@ fn files_that_are_dropped_are_opened_and_a_reference_is_told_by_its_name() {
     drop_files(&mut harness, std::slice::from_ref(&first));
     harness.get_by_label_contains("reference.exr");
     is_open(&harness, &first, None);
+}
+
+/// OpenEXR files of a folder and of the folders in it.
+fn files_below(folder: &Path) -> Vec<PathBuf> {
+    let folders = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).filter(|path| path.is_dir());
+    let below: Vec<PathBuf> = folders.flat_map(|folder| files_below(&folder)).collect();
+    files(folder).into_iter().chain(below).collect()
+}
+
+#[test]
+fn every_renderers_file_is_opened_or_told_with_a_remedy() {
+    let mut harness = window(Start { parameters: quick("gem"), panel: Panel::Report, ..Default::default() });
+    let inputs = files_below(&testdata("layouts"));
+    assert!(inputs.len() > 100, "{inputs:?}");
+    let mut refused = Vec::new();
+    for input in &inputs {
+        harness.state_mut().open(Source::whole(input.clone(), None));
+        settle(&mut harness);
+        let viewer = harness.state();
+        if let Some((_, error)) = &viewer.trouble {
+            let told = words::told(error);
+            assert!(told.contains(&short_name(input)) && told.contains("remedy: "), "{}: {told}", input.display());
+            refused.push(told);
+            harness.get_by_label("Dismiss").click();
+            harness.run_steps(2);
+            continue;
+        }
+        let document = viewer.document.as_ref().unwrap();
+        assert_eq!(document.opened.source.as_ref().unwrap().request.input, *input);
+        assert!(document.denoised.is_some(), "{}", input.display());
+        let layout = document.opened.input.as_ref().unwrap().layout.title.clone();
+        harness.get_by_label_contains(&format!("layout: {layout} ("));
+    }
+    assert!(refused.len() < 10, "{}", refused.join("\n"));
+}
+
+#[test]
+fn a_file_of_several_pictures_opens_with_the_first_and_a_choice_of_the_others() {
+    let input = testdata("layouts/cycles/two_view_layers.exr");
+    let start = Start {
+        source: Some(Source::whole(input.clone(), None)),
+        parameters: quick("gem"),
+        panel: Panel::Report,
+        ..Default::default()
+    };
+    let mut harness = window(start);
+    let is_open = |harness: &Harness<'static, Viewer>, layer: Option<&str>, picture: &str| {
+        let document = harness.state().document.as_ref().unwrap();
+        let request = &document.opened.source.as_ref().unwrap().request;
+        assert_eq!((&request.input, request.layer.as_deref()), (&input, layer));
+        assert_eq!(document.opened.input.as_ref().unwrap().pictures, ["ViewLayer.Combined", "fg.Combined"]);
+        let set = BufferSet::read(&BufferSetRequest { layer: Some(picture.into()), ..request.clone() }).unwrap();
+        assert!(document.opened.frame.color().mean == set.to_frame().unwrap().0.color().mean, "another picture");
+        assert_eq!(harness.get_by_role(Role::ComboBox).value().as_deref(), Some(picture));
+    };
+    is_open(&harness, None, "ViewLayer.Combined");
+    harness.get_by_label("picture 1 of 2 in the file: ViewLayer.Combined");
+    harness.get_by_label_contains("layout: Blender Cycles");
+
+    harness.get_by_role(Role::ComboBox).click();
+    harness.run_steps(2);
+    harness.get_by_label("fg.Combined").click();
+    settle(&mut harness);
+    is_open(&harness, Some("fg.Combined"), "fg.Combined");
+    harness.get_by_label("picture 2 of 2 in the file: fg.Combined");
+    // By keys, round and round.
+    harness.key_press(Key::P);
+    settle(&mut harness);
+    is_open(&harness, None, "ViewLayer.Combined");
+    harness.key_press_modifiers(Modifiers::SHIFT, Key::P);
+    settle(&mut harness);
+    is_open(&harness, Some("fg.Combined"), "fg.Combined");
+
+    // A file of one picture has no choice.
+    harness.state_mut().open(Source::whole(testdata("anim/shot.0000.exr"), None));
+    settle(&mut harness);
+    assert!(harness.query_by_role(Role::ComboBox).is_none());
+    harness.key_press(Key::P);
+    settle(&mut harness);
+    assert!(harness.state().trouble.is_none());
+}
+
+#[test]
+fn files_that_come_together_are_seeds_or_belong_to_one_of_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = BufferSet::read(&BufferSetRequest { input: testdata("cornell_8spp.exr"), ..Default::default() }).unwrap();
+    let color = set.color();
+    let write = |name: &str, image: &Image| {
+        let channels = ["R", "G", "B"].map(String::from).into();
+        write_layers(&folder.path().join(name), &[NamedLayer { name: "".into(), channels, image: image.clone() }], &[])
+            .unwrap();
+        folder.path().join(name)
+    };
+    let seeds = [write("a.exr", color.half_a.as_ref().unwrap()), write("b.exr", color.half_b.as_ref().unwrap())];
+    let request = |input: &Path, seeds: &[PathBuf]| BufferSetRequest {
+        input: input.to_owned(),
+        seeds: seeds.to_vec(),
+        ..Default::default()
+    };
+    let is_open = |harness: &Harness<'static, Viewer>, expected: BufferSetRequest, reference: Option<PathBuf>| {
+        assert!(harness.state().trouble.is_none(), "{:?}", harness.state().trouble);
+        let opened = &harness.state().document.as_ref().unwrap().opened;
+        let reference = reference.map(LayerRef::whole);
+        assert_eq!(opened.source, Some(Source { request: expected, reference }));
+        opened.clone()
+    };
+    let mut harness = window(Start { parameters: quick("gem"), panel: Panel::Report, ..Default::default() });
+    let truth = testdata("cornell_reference.exr");
+    drop_files(&mut harness, &[seeds[0].clone(), truth.clone(), seeds[1].clone()]);
+    let opened = is_open(&harness, request(&seeds[0], &seeds[1..]), Some(truth));
+    assert!(opened.frame.color().half_spread.is_some() && opened.contradiction.is_none(), "{:?}", opened.contradiction);
+    assert!(opened.left_out.is_none());
+    harness.get_by_label_contains("another seed: ");
+    // None of them is replaced by a result.
+    let context = harness.ctx.clone();
+    harness.state_mut().take_file(Purpose::SaveResult, seeds[1].clone(), &context);
+    settle(&mut harness);
+    harness.get_by_label_contains("is open here, and would be replaced");
+    harness.get_by_label("Dismiss").click();
+
+    // Another image of the same size, of which no header tells that it is another one.
+    let (_, albedo) = set.features().find(|(name, _)| *name == "albedo").unwrap();
+    drop_files(&mut harness, &[seeds[0].clone(), write("other.exr", &albedo.mean)]);
+    is_open(&harness, request(&seeds[0], &[]), None);
+    harness.get_by_label_contains("the halves differ by more than noise");
+
+    // Frames of a shot, and files of other sizes.
+    let shot = ["anim/shot.0000.exr", "anim/shot.0001.exr"].map(testdata);
+    for files in [&shot, &[seeds[0].clone(), shot[1].clone()]] {
+        drop_files(&mut harness, files);
+        is_open(&harness, request(&files[0], &[]), None);
+        harness.get_by_label_contains(&format!("only {} is open: ", short_name(&files[0])));
+    }
+    harness.get_by_label("Dismiss").click();
+    harness.run_steps(2);
+    assert!(harness.query_by_label("Dismiss").is_none());
+
+    // Files with other buffers have the same size, and are no seeds.
+    let buffers = ["albedo.exr", "albedoVariance.exr", "color.exr", "colorA.exr", "colorB.exr", "colorVariance.exr"];
+    let buffers = buffers.map(|name| testdata("layouts/tungsten").join(name));
+    drop_files(&mut harness, &buffers);
+    let opened = is_open(&harness, request(&buffers[2], &[]), None);
+    assert!(opened.left_out.is_none());
+    let siblings = opened.input.unwrap().siblings;
+    assert!(buffers.iter().all(|file| *file == buffers[2] || siblings.contains(file)), "{siblings:?}");
+    harness.get_by_label_contains("found beside it: ");
+    harness.state_mut().take_file(Purpose::SaveResult, buffers[0].clone(), &context);
+    settle(&mut harness);
+    harness.get_by_label_contains("is open here, and would be replaced");
+    drop_files(&mut harness, &[&buffers[..], &shot[..1]].concat());
+    is_open(&harness, request(&buffers[2], &[]), None);
+    harness.get_by_label_contains("left out: shot.0000.exr");
+}
+
+#[test]
+fn pictures_without_layers_are_opened_and_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let set = BufferSet::read(&BufferSetRequest { input: testdata("cornell_8spp.exr"), ..Default::default() }).unwrap();
+    let (_, albedo) = set.features().find(|(name, _)| *name == "albedo").unwrap();
+    let mean = set.color().mean;
+    for (name, image) in [("color.pfm", &mean), ("color.png", &mean), ("tint.pfm", &albedo.mean)] {
+        let format = Format::from_extension(Path::new(name)).unwrap();
+        picture_file::write(&path(name), image, format, PngEncoding::Srgb).unwrap();
+    }
+    let features = vec![("albedo".to_owned(), LayerRef::whole(path("tint.pfm")))];
+    let request = BufferSetRequest { input: path("color.pfm"), features, ..Default::default() };
+    let source = Source { request, reference: Some(LayerRef::whole(testdata("cornell_reference.exr"))) };
+    let mut harness = window(Start { source: Some(source), parameters: quick("dfc"), ..Default::default() });
+    assert!(harness.state().trouble.is_none(), "{:?}", harness.state().trouble);
+    let document = harness.state().document.as_ref().unwrap();
+    assert!(document.opened.frame.color().mean == mean && document.opened.frame.features().len() == 1);
+    let result = document.denoised.as_ref().unwrap().estimate.color.clone();
+
+    let context = harness.ctx.clone();
+    harness.state_mut().take_file(Purpose::SaveResult, path("result.pfm"), &context);
+    settle(&mut harness);
+    harness.get_by_label("Wrote result.pfm; the colour alone");
+    assert!(read_reference(&path("result.pfm"), None).unwrap() == result, "other bits than the result's");
+    harness.state_mut().take_file(Purpose::SaveResult, path("result.png"), &context);
+    settle(&mut harness);
+    harness.get_by_label_contains("Wrote result.png; the colour alone");
+    assert_eq!(read_reference(&path("result.png"), None).unwrap().extent, result.extent);
+
+    drop_files(&mut harness, &[path("color.png")]);
+    assert!(harness.state().trouble.is_none(), "{:?}", harness.state().trouble);
+    let opened = &harness.state().document.as_ref().unwrap().opened;
+    assert_eq!(opened.source, Some(Source::whole(path("color.png"), None)));
+}
+
+#[test]
+fn a_file_that_does_not_tell_its_samples_asks_for_their_number() {
+    let input = testdata("layouts/mitsuba/moment_of_aov.exr");
+    let mut harness = window(Start {
+        source: Some(Source::whole(input.clone(), None)),
+        parameters: quick("gem"),
+        panel: Panel::Report,
+        ..Default::default()
+    });
+    harness.get_by_label_contains("nothing says how many samples a pixel has");
+    for (text, is_number) in [("0", false), ("16", true)] {
+        let edit = harness.get_by_role(Role::TextInput);
+        edit.focus();
+        edit.type_text(text);
+        harness.run_steps(2);
+        assert_eq!(harness.get_by_label("Open with these").accesskit_node().is_disabled(), !is_number);
+        harness.key_press_modifiers(Modifiers::COMMAND, Key::A);
+        harness.run_steps(1);
+    }
+    harness.get_by_label("Open with these").click();
+    settle(&mut harness);
+    assert!(harness.state().trouble.is_none() && harness.query_by_role(Role::TextInput).is_none());
+    let opened = &harness.state().document.as_ref().unwrap().opened;
+    let request = BufferSetRequest { input, samples: Some(16), ..Default::default() };
+    assert_eq!(opened.source, Some(Source { request, reference: None }));
+    assert!(opened.frame.color().variance_of_mean.is_some());
+}
+
+#[test]
+fn a_variance_that_the_image_contradicts_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = BufferSet::read(&BufferSetRequest { input: testdata("cornell_8spp.exr"), ..Default::default() }).unwrap();
+    let color = set.color();
+    let mut variance = color.variance_of_mean.unwrap();
+    variance.planes.iter_mut().flatten().for_each(|value| *value *= 40.0);
+    let layer = |name: &str, image: Image| NamedLayer {
+        name: name.into(),
+        channels: ["R", "G", "B"].map(String::from).into(),
+        image,
+    };
+    let input = folder.path().join("render.exr");
+    write_layers(&input, &[layer("", color.mean), layer("variance", variance)], &[]).unwrap();
+    let source = Some(Source::whole(input, None));
+    let harness = window(Start { source, parameters: quick("gem"), panel: Panel::Report, ..Default::default() });
+    harness.get_by_label_contains("times too large for the noise in the image");
 }
 
 /// A set whose parts are in files of their own, some of them among other layers, and its reference.
@@ -415,6 +656,11 @@ fn the_command_line_takes_parts_of_a_frame_from_other_files() {
         let (code, said) = program(&["a::b/shot.exr"]);
         assert_eq!(code, Some(0), "{said}");
     }
+    // Further files are seeds.
+    let (code, said) = program(&["a.exr", "b.exr", "--panel=report"]);
+    assert!(code == Some(3) && said.contains("b.exr"), "{code:?} {said}");
+    let (code, said) = program(&["a.exr", "b_reference.exr"]);
+    assert!(code == Some(2) && said.contains("--reference b_reference.exr"), "{code:?} {said}");
     let (code, said) = program(&["--adapt=soft", "--half-a=a.exr"]);
     assert!(code == Some(2) && said.contains("none is given") && said.contains("remedy:"), "{said}");
 }

@@ -15,9 +15,15 @@ impl Viewer {
         match action {
             Action::AskForFile(purpose) => self.ask(purpose, context),
             Action::Open(source) => self.open(*source),
+            Action::OpenWithSamples(samples) => self.open_with_samples(samples),
+            Action::ShowPicture(index) => self.show_picture(index),
+            Action::StepPicture(step) => self.step_picture(step),
             Action::Run => self.run(),
             Action::Cancel => self.cancel(),
-            Action::Dismiss => (self.trouble, self.notice) = (None, None),
+            Action::Dismiss => {
+                (self.trouble, self.notice) = (None, None);
+                self.forget_left_out();
+            }
 
             Action::SetParameter(name, value) => {
                 if self.edits.set(&mut self.parameters, &name, value) {
@@ -98,7 +104,8 @@ impl Viewer {
     /// Cancels one thing: a message if there is one, or else the help, the work in flight, a reference that waits, or
     /// the pinned pixel.
     fn cancel(&mut self) {
-        if self.trouble.take().is_some() || self.notice.take_if(|(notice, _)| notice.is_err()).is_some() {
+        let is_told = self.trouble.take().is_some() || self.notice.take_if(|(notice, _)| notice.is_err()).is_some();
+        if is_told || self.forget_left_out() {
             return;
         }
         if std::mem::take(&mut self.shows_help) {
@@ -116,6 +123,11 @@ impl Viewer {
             None if self.waiting_reference.take().is_some() => {}
             None => self.view.pinned = None,
         }
+    }
+
+    /// Removes the message about files that are not open. Returns whether there was one.
+    fn forget_left_out(&mut self) -> bool {
+        self.document.as_mut().and_then(|document| document.opened.left_out.take()).is_some()
     }
 
     /// Shows the layer that is `step` places further in the strip, and scrolls the strip to it.

@@ -12,7 +12,7 @@ use super::Viewer;
 use super::notices::NOTICE_SECONDS;
 use crate::device::no_thread;
 use crate::document::Source;
-use crate::files::{Dialog, Purpose, is_reference, short_name};
+use crate::files::{Dialog, ENDINGS, Purpose, is_reference, short_name};
 use crate::saving::{Content, Saving, Sight};
 use crate::settings::Parameters;
 use crate::view::View;
@@ -36,7 +36,7 @@ impl Viewer {
         let input = self.document.as_ref().map_or("stein", |document| &document.opened.name);
         // The name of a layer follows the name of its file.
         let input = input.replacen(".exr::", ".", 1);
-        let input = input.strip_suffix(".exr").unwrap_or(&input);
+        let input = ENDINGS.iter().find_map(|ending| input.strip_suffix(ending)?.strip_suffix('.')).unwrap_or(&input);
         match purpose {
             Purpose::SaveResult => format!("{input}.denoised"),
             Purpose::SaveParameters => self.parameters.method.name().to_owned(),
@@ -111,7 +111,9 @@ impl Viewer {
         };
         let layer = || self.layer().cloned().ok_or_else(|| missing("image"));
         let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
-        if source.is_some_and(|source| source.files().any(|other| same_file(path, other))) {
+        let input = self.document.as_ref().and_then(|document| document.opened.input.as_ref());
+        let beside = source.zip(input).into_iter().flat_map(|(source, input)| input.found(&source.request));
+        if source.into_iter().flat_map(Source::files).chain(beside).any(|other| same_file(path, other)) {
             return Err(stein::Error::File {
                 path: path.to_owned(),
                 cause: FileCause::Other {
@@ -156,27 +158,25 @@ impl Viewer {
         let Some(Poll::Ready(answer)) = self.dialog.as_ref().map(Dialog::answer) else { return };
         self.dialog = None;
         match answer {
-            Ok(Some((purpose, path))) => self.take_file(purpose, path, context),
-            Ok(None) => {}
+            Ok((Purpose::Input, paths)) => self.open_together(paths, None),
+            Ok((purpose, paths)) => paths.into_iter().for_each(|path| self.take_file(purpose, path, context)),
             Err(error) => self.tell(Err(error), context),
         }
     }
 
     /// Opens files that were dropped on the window. A file with the name of a reference belongs to the other dropped
-    /// file, or else to the open frame, or else to the file that is opened next.
+    /// files, or else to the open frame, or else to the file that is opened next.
     pub(super) fn take_dropped(&mut self, context: &Context) {
         let dropped: Vec<PathBuf> =
             context.input(|input| input.raw.dropped_files.iter().map(|file| file.path().to_owned()).collect());
         let (references, inputs): (Vec<_>, Vec<_>) = dropped.into_iter().partition(|path| is_reference(path));
-        let left_out: Vec<_> =
-            inputs.iter().skip(1).chain(references.iter().skip(1)).map(|path| short_name(path)).collect();
+        let left_out: Vec<_> = references.iter().skip(1).map(|path| short_name(path)).collect();
         if !left_out.is_empty() {
-            self.tell(Ok(format!("One file is open at a time, left out: {}", left_out.join(", "))), context);
+            self.tell(Ok(format!("A frame has one reference, left out: {}", left_out.join(", "))), context);
         }
-        match (inputs.into_iter().next(), references.into_iter().next()) {
-            (Some(input), reference) => self.open(Source::whole(input, reference)),
-            (None, Some(reference)) => self.take_file(Purpose::Reference, reference, context),
-            (None, None) => {}
+        match references.into_iter().next() {
+            Some(reference) if inputs.is_empty() => self.take_file(Purpose::Reference, reference, context),
+            reference => self.open_together(inputs, reference),
         }
     }
 

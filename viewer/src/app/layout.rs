@@ -1,6 +1,8 @@
 //! The layout of the window: which panel is where, and which part of the state it reads.
 
 use eframe::egui::{CentralPanel, Context, Frame as Margins, Panel as SidePanel, Ui};
+use stein::Error;
+use stein::error::Remedy;
 
 use super::Viewer;
 use crate::action::Action;
@@ -52,6 +54,7 @@ impl Viewer {
             recent: &self.settings.recent,
             compare: self.view.compare,
             progress: self.progress,
+            input: self.document.as_ref().and_then(|document| document.opened.input.as_ref()),
         }
     }
 
@@ -104,9 +107,14 @@ impl Viewer {
         let failures = [
             self.trouble.as_ref().map(|(_, error)| error),
             self.notice.as_ref().and_then(|(notice, _)| notice.as_ref().err()),
+            self.document.as_ref().and_then(|document| document.opened.left_out.as_ref()),
         ];
         let failures: Vec<_> = failures.into_iter().flatten().map(words::told).collect();
         let mut actions: Vec<_> = failures.iter().filter_map(|failure| panel::failure::show(ui, failure)).collect();
+        let needs_samples = |error: &Error| error.remedies().contains(&Remedy::GiveSamples);
+        if self.trouble.as_ref().is_some_and(|(task, error)| *task == Task::Open && needs_samples(error)) {
+            actions.extend(panel::failure::ask_for_samples(ui));
+        }
         self.view.marked = if self.panel == Panel::Kernel { self.inspector.marked() } else { None };
         let (layer, other) = (self.layer().cloned(), self.other().cloned());
         match layer {

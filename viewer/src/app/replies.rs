@@ -29,7 +29,10 @@ impl Viewer {
     }
 
     /// Shows a frame that was read, and denoises it.
-    fn take_opened(&mut self, opened: Opened, context: &Context) {
+    fn take_opened(&mut self, mut opened: Opened, context: &Context) {
+        if let Some(document) = &self.document {
+            opened.keep_pictures(&document.opened);
+        }
         opened.source.iter().for_each(|source| self.settings.remember(source));
         let reference = self.waiting_reference.take().filter(|_| opened.reference.is_none());
         self.adaptive.clear();

@@ -1,10 +1,12 @@
 //! Work that the window sends to its worker, and that it cancels.
 
+use std::path::PathBuf;
+
 use eframe::egui::{Context, ViewportCommand};
 use stein::Extent;
 
 use super::{Viewer, title};
-use crate::document::Source;
+use crate::document::{Opening, Source};
 use crate::inspector::Question;
 use crate::panel::Panel;
 use crate::settings::Parameters;
@@ -12,14 +14,53 @@ use crate::view::View;
 use crate::worker::{Request, Task};
 
 impl Viewer {
-    /// Reads a file; what is open stays until that is done.
+    /// Reads a frame; what is open stays until that is done.
     pub fn open(&mut self, source: Source) {
+        self.read(Opening::Frame(Box::new(source)));
+    }
+
+    /// Reads files that came together; what is open stays until that is done.
+    pub fn open_together(&mut self, files: Vec<PathBuf>, reference: Option<PathBuf>) {
+        match <[PathBuf; 1]>::try_from(files) {
+            Ok([input]) => self.open(Source::whole(input, reference)),
+            Err(files) if files.is_empty() => {}
+            Err(files) => self.read(Opening::Together { files, reference, samples: None }),
+        }
+    }
+
+    /// Opens the files again that could not be opened without the number of samples per pixel.
+    pub(super) fn open_with_samples(&mut self, samples: u32) {
+        if let Some(opening) = self.opening.take() {
+            self.trouble.take_if(|(task, _)| *task == Task::Open);
+            self.read(opening.with_samples(samples));
+        }
+    }
+
+    /// Opens another picture of the input, by its index.
+    pub(super) fn show_picture(&mut self, index: usize) {
+        let opened = self.document.as_ref().map(|document| &document.opened);
+        let is_open = opened.and_then(|opened| opened.input.as_ref()).is_some_and(|input| input.picture == index);
+        if let Some(source) = opened.and_then(|opened| opened.picture(index)).filter(|_| !is_open) {
+            self.open(source);
+        }
+    }
+
+    /// Opens the picture that is `step` places further in the input, from the last one on to the first.
+    pub(super) fn step_picture(&mut self, step: isize) {
+        let opened = self.document.as_ref().map(|document| &document.opened);
+        let Some(input) = opened.and_then(|opened| opened.input.as_ref()) else { return };
+        let index = input.picture as isize + step;
+        self.show_picture(index.rem_euclid(input.pictures.len() as isize) as usize);
+    }
+
+    fn read(&mut self, opening: Opening) {
         self.interrupted |= matches!(self.progress, Some((Task::Denoise, _)));
         self.adaptive.is_running = false;
         self.progress = Some((Task::Open, 0.0));
         self.sweep.is_running = false;
         self.inspector.forget_question();
-        self.worker.send(Request::Open(source));
+        self.opening = Some(opening.clone());
+        self.worker.send(Request::Open(Box::new(opening)));
     }
 
     /// Denoises the open frame with the current parameters.

@@ -1,6 +1,6 @@
-//! The message about a failure, with its remedy, over the canvas.
+//! The message about a failure, with its remedy, over the canvas, and the question for what was missing.
 
-use eframe::egui::{Align, Frame as Margins, Layout, RichText, Ui};
+use eframe::egui::{Align, Button, Frame as Margins, Id, Key, Layout, RichText, TextEdit, Ui};
 
 use crate::action::Action;
 
@@ -22,6 +22,28 @@ pub fn show(ui: &mut Ui, told: &str) -> Option<Action> {
                 });
             });
         });
+    });
+    action
+}
+
+/// Asks for the number of samples per pixel of files that do not tell it.
+pub fn ask_for_samples(ui: &mut Ui) -> Option<Action> {
+    let mut action = None;
+    Margins::new().fill(ui.visuals().panel_fill).inner_margin(8.0).show(ui, |ui| {
+        ui.horizontal(|ui| {
+            let id = Id::unique("samples per pixel");
+            let mut text = ui.data_mut(|data| data.get_temp::<String>(id)).unwrap_or_default();
+            let label = ui.label("Samples per pixel:");
+            let edit = ui.add(TextEdit::singleline(&mut text).desired_width(60.0)).labelled_by(label.id);
+            let samples = text.trim().parse().ok().filter(|samples| *samples > 0);
+            let is_entered = edit.lost_focus() && ui.input(|input| input.key_pressed(Key::Enter));
+            let is_clicked = ui.add_enabled(samples.is_some(), Button::new("Open with these")).clicked();
+            action = samples.filter(|_| is_entered || is_clicked).map(Action::OpenWithSamples);
+            // The next file has another number.
+            let kept = if action.is_some() { String::new() } else { text };
+            ui.data_mut(|data| data.insert_temp(id, kept));
+        });
+        ui.set_min_width(ui.available_width());
     });
     action
 }

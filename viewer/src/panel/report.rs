@@ -27,9 +27,12 @@ fn frame(ui: &mut Ui, opened: &Opened) {
     let frame = &opened.frame;
     ui.label(RichText::new("Frame").strong());
     match &opened.source {
-        Some(source) => source.lines().into_iter().for_each(|line| {
-            ui.label(line);
-        }),
+        Some(source) => {
+            let of_files = opened.input.as_ref().map(|input| input.lines(&source.request));
+            source.lines().into_iter().chain(of_files.into_iter().flatten()).for_each(|line| {
+                ui.label(line);
+            });
+        }
         None => {
             ui.label(&opened.name);
         }
@@ -44,6 +47,10 @@ fn frame(ui: &mut Ui, opened: &Opened) {
     ui.label(if features.is_empty() { "no features".to_owned() } else { format!("features: {}", features.join(", ")) });
     if !opened.repairs.is_empty() {
         ui.label(opened.repairs.to_string());
+    }
+    if let Some(contradiction) = &opened.contradiction {
+        let told = format!("The noise is not as the file tells: {contradiction}");
+        ui.label(RichText::new(told).color(ui.visuals().warn_fg_color));
     }
 }
 

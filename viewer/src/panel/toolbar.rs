@@ -1,9 +1,9 @@
 //! The bar at the top: files, comparison, and the progress of the worker.
 
-use eframe::egui::{Align, Layout, ProgressBar, Ui};
+use eframe::egui::{Align, ComboBox, Layout, ProgressBar, Ui};
 
 use crate::action::Action;
-use crate::document::Source;
+use crate::document::{InputFiles, Source, picture_title};
 use crate::files::{Purpose, short_name};
 use crate::view::Compare;
 use crate::worker::Task;
@@ -21,6 +21,8 @@ pub struct Model<'a> {
     pub compare: Compare,
     /// Task of the worker, and the share of it that is done, 0 to 1.
     pub progress: Option<(Task, f32)>,
+    /// Files of the open frame; `None` for a frame that was rendered here.
+    pub input: Option<&'a InputFiles>,
 }
 
 /// Shows the bar.
@@ -54,6 +56,10 @@ pub fn show(ui: &mut Ui, model: &Model) -> Vec<Action> {
                 actions.push(Action::Compare(compare));
             }
         }
+        if let Some(input) = model.input.filter(|input| input.pictures.len() > 1) {
+            ui.separator();
+            actions.extend(pictures(ui, input));
+        }
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
             if ui.button("Help").on_hover_text("Keys (H)").clicked() {
                 actions.push(Action::ToggleHelp);
@@ -86,11 +92,30 @@ pub fn show(ui: &mut Ui, model: &Model) -> Vec<Action> {
     actions
 }
 
+/// Shows the choice among the pictures of the input.
+fn pictures(ui: &mut Ui, input: &InputFiles) -> Option<Action> {
+    let mut chosen = input.picture;
+    ComboBox::from_id_salt("picture")
+        .selected_text(picture_title(&input.pictures[input.picture]))
+        .show_ui(ui, |ui| {
+            for (index, name) in input.pictures.iter().enumerate() {
+                ui.selectable_value(&mut chosen, index, picture_title(name));
+            }
+        })
+        .response
+        .on_hover_text("The picture of the file that is open: a view layer, or the view of an eye (P)");
+    (chosen != input.picture).then_some(Action::ShowPicture(chosen))
+}
+
 /// Shows the recent files, as buttons.
 pub fn recent(ui: &mut Ui, sources: &[Source]) -> Option<Action> {
     let mut chosen = None;
     for source in sources {
-        let input = source.name();
+        let input = match source.request.seeds.len() {
+            0 => source.name(),
+            1 => format!("{} and another seed", source.name()),
+            seeds => format!("{} and {seeds} other seeds", source.name()),
+        };
         let text = match &source.reference {
             Some(reference) => format!("{input} with {}", short_name(&reference.file)),
             None => input,

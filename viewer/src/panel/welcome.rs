@@ -29,8 +29,9 @@ pub fn show(ui: &mut Ui, model: &Model) -> Vec<Action> {
             ui.spinner();
             return;
         }
-        ui.heading("Drop an OpenEXR buffer set here");
-        ui.label("the noisy image with its halves or variance, and features; with it, if there is one, the reference");
+        ui.heading("Drop the files of a frame here");
+        ui.label("OpenEXR, PFM or PNG: the noisy image with its halves or variance, and features;");
+        ui.label("or several renders with different seeds; with them, if there is one, the reference");
         ui.add_space(10.0);
         if ui.button("Open…").clicked() {
             actions.push(Action::AskForFile(Purpose::Input));
