@@ -152,9 +152,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let map = SamplingMap::new(&density, budget, Some(cap)).map_err(Failure::usage)?;
     let spread = Spread::of(&map.counts);
     let drawn = drawn(&set.samples_per_pixel(), frame.extent());
-    MapFile { map, drawn, windows: Some(set.windows()) }
-        .write(&file, &[])
-        .map_err(Failure::output)?;
+    MapFile { map, drawn, windows: Some(set.windows()) }.write(&file, &[]).map_err(Failure::output)?;
     out.say(format_args!("{}: {spread}", text::path(&file)));
     if args.json {
         out.json(&Document { input: described, device: gpu.summary().clone(), output: file, map: spread })

@@ -72,9 +72,8 @@ fn known_wrong_meanings_are_refused_as_a_variance_by_name() {
 #[test]
 fn a_fraction_of_the_samples_in_the_header_becomes_a_count() {
     let folder = folder();
-    let mut part = Part::new()
-        .with("v.Combined", "RGBA", 1.0)
-        .attribute("cycles.v.samples", AttributeValue::Text("64".into()));
+    let mut part =
+        Part::new().with("v.Combined", "RGBA", 1.0).attribute("cycles.v.samples", AttributeValue::Text("64".into()));
     part.channels.push(("v.Debug Sample Count.X".into(), FlatSamples::F32(vec![0.25; PIXELS])));
     let set = read(&write(folder.path(), "in.exr", vec![part]));
     let counts = stein::frame::SamplesPerPixel::PerPixel(Planes { planes: vec![vec![16.0; PIXELS]], ..rgb(0.0) });

@@ -47,13 +47,14 @@ fn the_picture_after_compositing_is_denoised_if_there_is_no_other() {
 fn both_eyes_are_pictures_wherever_the_view_stands_in_the_name() {
     let folder = folder();
     for [left, right] in [["", "right"], ["Combined.left", "Combined.right"], ["left.Combined", "right.Combined"]] {
-        let feature = |colour: &str| if colour.is_empty() { "depth".into() } else { colour.replace("Combined", "depth") };
+        let feature =
+            |colour: &str| if colour.is_empty() { "depth".into() } else { colour.replace("Combined", "depth") };
         let right_feature = if right == "right" { "right.depth".to_owned() } else { feature(right) };
-        let part = Part::new()
-            .with(left, "RGB", 1.0)
-            .with(&feature(left), "Z", 2.0)
-            .with(right, "RGB", 5.0)
-            .with(&right_feature, "Z", 6.0);
+        let part = Part::new().with(left, "RGB", 1.0).with(&feature(left), "Z", 2.0).with(right, "RGB", 5.0).with(
+            &right_feature,
+            "Z",
+            6.0,
+        );
         let mut image = image_of(vec![part], IntegerBounds::from_dimensions(SIZE));
         image.layer_data[0].attributes.multi_view_names = Some(vec!["left".into(), "right".into()]);
         let input = folder.path().join("in.exr");

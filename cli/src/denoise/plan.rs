@@ -117,7 +117,13 @@ impl ShotPlan {
             output: Some(output.clone()),
         };
         // The user may replace the input, and a half may be a layer of the input.
-        output::check(&output, output::PICTURE, read.files().filter(|file| *file != input), args.no_clobber, args.dry_run)?;
+        output::check(
+            &output,
+            output::PICTURE,
+            read.files().filter(|file| *file != input),
+            args.no_clobber,
+            args.dry_run,
+        )?;
         let frame =
             PlannedFrame { number: None, input: input.to_owned(), output, state: State::ToDo, window: 0..1, centre: 0 };
         Ok(Self { reads: vec![read], frames: vec![frame], gaps: Vec::new(), is_shot: false })

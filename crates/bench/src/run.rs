@@ -169,8 +169,7 @@ impl Run<'_> {
         }
         self.check_halves(&frame, &file.file)?;
         let reference = file.reference.as_ref();
-        let reference =
-            reference.map(|reference| set.read_reference(0, reference)).transpose()?;
+        let reference = reference.map(|reference| set.read_reference(0, reference)).transpose()?;
         Ok(ReadSet { frame, reference })
     }
 

@@ -14,8 +14,8 @@ use crate::layer_ref::{LayerRef, LayerUse};
 use crate::layout::LayoutUse;
 use crate::picture_file::PngEncoding;
 use crate::request::BufferSetRequest;
-use crate::write::Windows;
 use crate::source::{self, Picture, Planes, SignalSource, VarianceSource};
+use crate::write::Windows;
 
 /// Bytes per pixel for making a signal of a frame, besides its planes: marks of pixels to repair, of misses, and of
 /// usable neighbours.
@@ -319,7 +319,8 @@ impl BufferSet {
         let while_color = (4 * (kept(color) + let_go(color))).saturating_sub(stored);
         let all_features = features.iter().map(|(_, source)| kept(source)).sum::<u64>();
         let one_feature = features.iter().map(|(_, source)| let_go(source)).max().unwrap_or(0);
-        let with_features = (4 * (kept(color) + all_features + one_feature + count(samples_layer))).saturating_sub(stored);
+        let with_features =
+            (4 * (kept(color) + all_features + one_feature + count(samples_layer))).saturating_sub(stored);
         // Adds the marks for the repair of pixels.
         let needed = pixels * (while_color.max(with_features) + STATE_BYTES);
         FreeMemory::now().check(needed).map_err(|shortage| self.no_memory(shortage))

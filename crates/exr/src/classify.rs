@@ -110,12 +110,9 @@ fn meaning(
 ) -> Option<Meaning> {
     // A layout may give a meaning to any other layer, but a name that says more comes first, also if only the usual names
     // have it.
-    Breadth::ALL
-        .into_iter()
-        .find_map(|breadth| fitting(rules, (file, index), input, layer, key, breadth, &mut *orphan))
+    Breadth::ALL.into_iter().find_map(|breadth| fitting(rules, (file, index), input, layer, key, breadth, &mut *orphan))
 }
 
-#[expect(clippy::too_many_arguments, reason = "a helper of `meaning`")]
 fn fitting(
     rules: &[Rule],
     (file, index): (&ExrFile, usize),

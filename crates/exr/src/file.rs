@@ -225,13 +225,15 @@ impl ExrFile {
             AttributeValue::F64(value) => value.to_string(),
             _ => String::new(),
         };
-        let mut all: Vec<(String, String)> = others
-            .flatten()
-            .map(|(name, value)| (names::decoded(name.as_slice()), text(value)))
-            .collect();
+        let mut all: Vec<(String, String)> =
+            others.flatten().map(|(name, value)| (names::decoded(name.as_slice()), text(value))).collect();
         // The decoder has fields for these.
         for attributes in parts {
-            let known = [("Software", &attributes.software_name), ("owner", &attributes.owner), ("comments", &attributes.comments)];
+            let known = [
+                ("Software", &attributes.software_name),
+                ("owner", &attributes.owner),
+                ("comments", &attributes.comments),
+            ];
             for (name, value) in known {
                 all.extend(value.iter().map(|value| (name.to_owned(), names::decoded(value.as_slice()))));
             }

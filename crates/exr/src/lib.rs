@@ -44,6 +44,4 @@ pub use layout::{Layout, LayoutUse, Quantity, RoleName, Unit};
 pub use map_file::MapFile;
 pub use request::BufferSetRequest;
 pub use samples::write_samples;
-pub use write::{
-    DenoisedLayers, NamedLayer, Windows, WriteReport, write_denoised, write_layers, write_layers_in,
-};
+pub use write::{DenoisedLayers, NamedLayer, Windows, WriteReport, write_denoised, write_layers, write_layers_in};

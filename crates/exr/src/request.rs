@@ -7,9 +7,9 @@ use clap::builder::{OsStringValueParser, TypedValueParser};
 use serde::{Deserialize, Serialize};
 
 use crate::layer_ref::LayerRef;
-use crate::picture_file::PngEncoding;
 #[cfg(feature = "programs")]
 use crate::layer_ref::feature;
+use crate::picture_file::PngEncoding;
 
 /// Which files and layers to read. All fields except the input and its layer are options of programs by their names,
 /// such as `--half-a FILE::LAYER`.
@@ -101,7 +101,10 @@ pub struct BufferSetRequest {
     /// Use no files beside the input but those that are named.
     #[cfg_attr(
         feature = "programs",
-        arg(long, help = "Use no files beside the input, such as albedo.exr beside color.exr, but those that are named")
+        arg(
+            long,
+            help = "Use no files beside the input, such as albedo.exr beside color.exr, but those that are named"
+        )
     )]
     pub no_siblings: bool,
 }
@@ -148,15 +151,6 @@ impl BufferSetRequest {
         let [features, feature_half_a, feature_half_b, feature_variance] = self.of_features().map(named);
         let [half_a, half_b, variance] =
             [&self.half_a, &self.half_b, &self.variance].map(|layer| layer.as_ref().map(&other));
-        Self {
-            half_a,
-            half_b,
-            variance,
-            features,
-            feature_half_a,
-            feature_half_b,
-            feature_variance,
-            ..self.clone()
-        }
+        Self { half_a, half_b, variance, features, feature_half_a, feature_half_b, feature_variance, ..self.clone() }
     }
 }

@@ -238,7 +238,8 @@ impl Weights {
         let useful = || values.iter().zip(&counts).filter(|(value, count)| !counts_not(value) && **count > 0.0);
         if useful().next().is_none() {
             // A value that a seed with samples has, such as the distance of a miss.
-            let value = values.iter().zip(&counts).find(|(_, count)| **count > 0.0).map_or(values[0], |(value, _)| *value);
+            let value =
+                values.iter().zip(&counts).find(|(_, count)| **count > 0.0).map_or(values[0], |(value, _)| *value);
             let value = f64::from(value);
             return Merged { mean: value, spread: 0.0, of_squares: value, sum: all };
         }
@@ -436,10 +437,8 @@ impl<'a> Merger<'a> {
                     && let Err(lacking) = self.column(set, &planes)
                 {
                     source.variance = None;
-                    self.notes.push(format!(
-                        "{name}: {} lacks its variance, so that none is used",
-                        text::path(&lacking)
-                    ));
+                    self.notes
+                        .push(format!("{name}: {} lacks its variance, so that none is used", text::path(&lacking)));
                 }
             }
             set.pictures[index] = picture;
@@ -579,7 +578,8 @@ impl<'a> Merger<'a> {
                 .map(|path| text::path(&path))
                 .collect();
             let of = |in_a: bool| {
-                let names = paths.iter().zip(&weights.in_a).filter(|(_, it)| **it == in_a).map(|(path, _)| path.clone());
+                let names =
+                    paths.iter().zip(&weights.in_a).filter(|(_, it)| **it == in_a).map(|(path, _)| path.clone());
                 names.collect::<Vec<_>>().join(", ")
             };
             set.notes.push(format!("half A is the mean of {}; half B of {}", of(true), of(false)));
