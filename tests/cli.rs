@@ -338,7 +338,7 @@ fn inputs_that_cannot_be_denoised_say_why_and_what_to_do() {
     stein(&["denoise", "no/such/file.exr", "-o", &output]).failed(3, &["stein: error: no/such/file.exr", "remedy: "]);
     let (reference, input) = (test_image("cornell_reference.exr"), test_image("cornell_8spp.exr"));
     stein(&["denoise", &reference, "-o", &output, "--require-noise"])
-        .failed(3, &[&reference, "--half-a", "--half-b", "--variance"]);
+        .failed(3, &[&reference, "seed1.exr seed2.exr", "--seed", "--variance"]);
     stein(&["denoise", &input, "-o", &output, "--layer", "beauty"]).failed(3, &[&input, "'beauty'", "halfA"]);
     stein(&["denoise", &input, "-o", &output, "--skip-feature", "albdo"]).failed(3, &["'albdo'"]);
     let text = folder.path("text.exr");
@@ -375,7 +375,7 @@ fn outputs_that_cannot_be_written_are_told_before_the_work() {
     let reference = folder.path("reference.exr");
     std::fs::copy(test_image("cornell_reference.exr"), &reference).unwrap();
     stein(&["denoise", &input, "-o", &reference, "--ref", &reference]).failed(5, &["is also read", "remedy: "]);
-    stein(&["denoise", &input, "-o", &folder.path("out.png")]).failed(2, &["out.png", ".exr"]);
+    stein(&["denoise", &input, "-o", &folder.path("out.jpg")]).failed(2, &["out.jpg", ".exr"]);
     assert_eq!(folder.names(), ["reference.exr", "render.exr"]);
 }
 
@@ -486,7 +486,7 @@ fn info_tells_what_denoise_would_do_with_each_file() {
     required.said(&[
         "noise: known from variance and two seeds",
         "cannot be denoised: nothing is known of the colour's noise",
-        "--half-a",
+        "--seed",
     ]);
 
     let document = stein(&["info", &render, &reference, "--json"]).succeeded().json();

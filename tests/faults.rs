@@ -64,7 +64,7 @@ fn an_image_alone_is_refused_where_that_is_asked_for() {
         &*input,
         "nothing is known of the colour's noise",
         "render twice with different seeds",
-        "--half-a",
+        "--seed",
         "remedy: ",
     ];
     for more in [&[][..], &["--dry-run"], &["--json"]] {
