@@ -8,6 +8,7 @@ use serde::Serialize;
 use super::image_noise::{Residuals, WINDOW_RADIUS, around};
 use super::sources::{self, two_digits};
 use super::{Frame, SamplesPerPixel};
+use crate::error::{Error, Remedy, RequestCause, Result};
 use crate::image::Image;
 
 /// Distances in pixels over which residuals are taken. Noise that neighbours share makes residuals of near neighbours
@@ -184,6 +185,14 @@ impl NoiseCheck {
         smooth(of_variance?.min(of_halves?))
     }
 
+    /// Refuses sources that contradict each other, for callers to whom a remark is not enough.
+    ///
+    /// # Errors
+    /// [`Error::Request`] with the contradiction and its remedies.
+    pub fn require_agreement(&self) -> Result<()> {
+        self.contradiction().map_or(Ok(()), |contradiction| Err(Error::Request(contradiction.into())))
+    }
+
     /// Makes the contradiction; `factor` is from the halves if there are any.
     fn variance_too_large(&self, factor: f64) -> Contradiction {
         // Texture lowers a factor from the image, a wide pixel filter raises it.
@@ -211,6 +220,30 @@ impl Contradiction {
             | Self::HalvesTooAlike { factor }
             | Self::ImageTooSmooth { factor } => factor,
         }
+    }
+
+    /// Returns actions that help the user if the likely cause is the true one, the best action first.
+    pub fn remedies(&self) -> Vec<Remedy> {
+        match self {
+            Self::VarianceTooLarge { meaning: LargeVariance::OneSample { .. }, .. } => {
+                vec![Remedy::SayQuantity { quantity: "variance of one sample" }, Remedy::GiveSamples]
+            }
+            Self::VarianceTooLarge { meaning: LargeVariance::SecondMoment, .. } => {
+                vec![Remedy::SayQuantity { quantity: "second moment" }]
+            }
+            Self::VarianceTooLarge { meaning: LargeVariance::Unknown { .. }, .. } => {
+                vec![Remedy::GiveSamples, Remedy::GiveVariance, Remedy::GiveUnfiltered]
+            }
+            Self::VarianceTooSmall { .. } => vec![Remedy::GiveVariance, Remedy::GiveSamples],
+            Self::HalvesTooDifferent { .. } | Self::HalvesTooAlike { .. } => vec![Remedy::RenderHalvesAgain],
+            Self::ImageTooSmooth { .. } => vec![Remedy::GiveUnfiltered],
+        }
+    }
+}
+
+impl From<Contradiction> for RequestCause {
+    fn from(contradiction: Contradiction) -> Self {
+        Self::Contradiction(contradiction)
     }
 }
 

@@ -78,18 +78,13 @@ fn load(read: &Read) -> Result<ReadFrame, Unusable> {
     let number = read.number;
     let unusable = |described, failure: Failure| Unusable { number, described, failure: failure.in_frame(number) };
     let mut set = options::read(&read.request).map_err(|failure| unusable(None, failure))?;
-    let (frame, described) = settle_first(&mut set, read.require_noise);
+    let (frame, described) = settle_first(&mut set, read.demands);
     let described = Box::new(described);
     let frame = match frame {
         Ok(frame) => frame,
         Err(error) => return Err(unusable(Some(described), Failure::in_file(&read.request.input, error))),
     };
-    let reference = match read
-        .reference
-        .as_ref()
-        .map(|reference| set.read_reference(0, reference))
-        .transpose()
-    {
+    let reference = match read.reference.as_ref().map(|reference| set.read_reference(0, reference)).transpose() {
         Ok(reference) => reference,
         Err(error) => return Err(unusable(Some(described), error.into())),
     };

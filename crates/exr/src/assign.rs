@@ -288,8 +288,7 @@ impl Files {
                 && self.channels_of_color(*id).is_ok()
         };
         let all: Vec<LayerId> = self.ids().filter(|id| id.file == 0).filter(is_color).collect();
-        let is_second_choice =
-            |id: &LayerId| self.rule(*id).is_some_and(|rule| rule.is_fallback || rule.is_copy);
+        let is_second_choice = |id: &LayerId| self.rule(*id).is_some_and(|rule| rule.is_fallback || rule.is_copy);
         let first_choice: Vec<LayerId> = all.iter().copied().filter(|id| !is_second_choice(id)).collect();
         let candidates = if first_choice.is_empty() { all } else { first_choice };
         let mut best: Vec<((usize, usize), LayerId)> = Vec::new();
@@ -378,8 +377,7 @@ impl Files {
         };
         let mean = Planes { file: 0, layer: color.layer, channels: color.channels.clone() };
         let unit = self.rule(id).and_then(|rule| rule.unit);
-        let source =
-            SignalSource { mean, half_a: None, half_b: None, variance: None, miss: None, outside: 0.0, unit };
+        let source = SignalSource { mean, half_a: None, half_b: None, variance: None, miss: None, outside: 0.0, unit };
         Picture {
             scope,
             is_only: count == 1,
@@ -612,17 +610,15 @@ impl Files {
 
     /// Adds the picture's own features: one for each role, and layers that come with halves or a variance. Each name to
     /// skip must match one of them: its whole name, the part behind one of its dots, or the name of its role.
-    fn find_features(
-        &mut self,
-        picture: &mut Picture,
-        request: &BufferSetRequest,
-        left_out: &mut Vec<LeftOut>,
-    ) {
+    fn find_features(&mut self, picture: &mut Picture, request: &BufferSetRequest, left_out: &mut Vec<LeftOut>) {
         let window = self.window(&picture.color.mean);
         let of_color: Vec<LayerId> =
             picture.color.planes().map(|planes| LayerId { file: planes.file, layer: planes.layer }).collect();
-        let mut candidates: Vec<FeatureCandidate> =
-            self.ids().filter(|id| !of_color.contains(id)).filter_map(|id| self.feature_candidate(id, picture)).collect();
+        let mut candidates: Vec<FeatureCandidate> = self
+            .ids()
+            .filter(|id| !of_color.contains(id))
+            .filter_map(|id| self.feature_candidate(id, picture))
+            .collect();
         let is_named = |skip: &str, candidate: &FeatureCandidate| {
             ends_with(&self.layer(candidate.id).name, skip) || candidate.name == skip
         };
@@ -644,7 +640,10 @@ impl Files {
                 .filter(|other| other.name == candidate.name && other.rank < candidate.rank)
                 .min_by_key(|other| other.rank);
             if let Some(better) = better {
-                note(candidate.id, format!("'{}' is the better {}", text::name(&self.layer(better.id).name), better.name));
+                note(
+                    candidate.id,
+                    format!("'{}' is the better {}", text::name(&self.layer(better.id).name), better.name),
+                );
                 continue;
             }
             let FeatureCandidate { id, name, .. } = candidate;
@@ -652,7 +651,8 @@ impl Files {
                 note(*id, "whole numbers are not a feature".into());
                 continue;
             }
-            let mean = match self.feature_planes(*id).and_then(|mean| self.check_overlap(&mean, window).map(|()| mean)) {
+            let mean = match self.feature_planes(*id).and_then(|mean| self.check_overlap(&mean, window).map(|()| mean))
+            {
                 Ok(mean) => mean,
                 Err(trouble) => {
                     left_out.push(trouble);

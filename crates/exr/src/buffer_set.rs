@@ -297,7 +297,8 @@ impl BufferSet {
         let while_color = (4 * (kept(color) + let_go(color))).saturating_sub(stored);
         let all_features = features.iter().map(|(_, source)| kept(source)).sum::<u64>();
         let one_feature = features.iter().map(|(_, source)| let_go(source)).max().unwrap_or(0);
-        let with_features = (4 * (kept(color) + all_features + one_feature + count(samples_layer))).saturating_sub(stored);
+        let with_features =
+            (4 * (kept(color) + all_features + one_feature + count(samples_layer))).saturating_sub(stored);
         // Adds the marks for the repair of pixels.
         let needed = pixels * (while_color.max(with_features) + STATE_BYTES);
         FreeMemory::now().check(needed).map_err(|shortage| self.no_memory(shortage))

@@ -34,8 +34,7 @@ impl ExrFile {
     /// Reads everything in the file. Never panics, whatever the bytes are, and takes no more memory than the bytes can
     /// be decoded to.
     pub(crate) fn read(path: &Path) -> Result<Self> {
-        let (mut image, format) =
-            read(path).map_err(|Trouble(cause)| Error::File { path: path.to_owned(), cause })?;
+        let (mut image, format) = read(path).map_err(|Trouble(cause)| Error::File { path: path.to_owned(), cause })?;
         image.layer_data.iter_mut().for_each(mend_overshoots);
         Ok(Self::of_image(path.to_owned(), image, format == Format::OpenExr))
     }
@@ -208,13 +207,15 @@ impl ExrFile {
             AttributeValue::F64(value) => value.to_string(),
             _ => String::new(),
         };
-        let mut all: Vec<(String, String)> = others
-            .flatten()
-            .map(|(name, value)| (names::decoded(name.as_slice()), text(value)))
-            .collect();
+        let mut all: Vec<(String, String)> =
+            others.flatten().map(|(name, value)| (names::decoded(name.as_slice()), text(value))).collect();
         // The decoder has fields for these.
         for attributes in parts {
-            let known = [("Software", &attributes.software_name), ("owner", &attributes.owner), ("comments", &attributes.comments)];
+            let known = [
+                ("Software", &attributes.software_name),
+                ("owner", &attributes.owner),
+                ("comments", &attributes.comments),
+            ];
             for (name, value) in known {
                 all.extend(value.iter().map(|value| (name.to_owned(), names::decoded(value.as_slice()))));
             }

@@ -83,7 +83,7 @@ pub struct BufferSetRequest {
     )]
     pub feature_variance: Vec<(String, LayerRef)>,
     /// Another render of the same frame with another seed, to be merged with the input; may be repeated
-    #[cfg_attr(feature = "programs", arg(long = "seed", value_name = "FILE"))]
+    #[cfg_attr(feature = "programs", arg(id = "seed", long, value_name = "FILE"))]
     pub seeds: Vec<PathBuf>,
     /// Samples per pixel of the input, or of each seed [default: as the file says]
     #[cfg_attr(
@@ -97,7 +97,10 @@ pub struct BufferSetRequest {
     /// Use no files beside the input but those that are named.
     #[cfg_attr(
         feature = "programs",
-        arg(long, help = "Use no files beside the input, such as albedo.exr beside color.exr, but those that are named")
+        arg(
+            long,
+            help = "Use no files beside the input, such as albedo.exr beside color.exr, but those that are named"
+        )
     )]
     pub no_siblings: bool,
 }
@@ -144,15 +147,6 @@ impl BufferSetRequest {
         let [features, feature_half_a, feature_half_b, feature_variance] = self.of_features().map(named);
         let [half_a, half_b, variance] =
             [&self.half_a, &self.half_b, &self.variance].map(|layer| layer.as_ref().map(&other));
-        Self {
-            half_a,
-            half_b,
-            variance,
-            features,
-            feature_half_a,
-            feature_half_b,
-            feature_variance,
-            ..self.clone()
-        }
+        Self { half_a, half_b, variance, features, feature_half_a, feature_half_b, feature_variance, ..self.clone() }
     }
 }

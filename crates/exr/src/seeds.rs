@@ -45,10 +45,9 @@ pub(crate) fn merge(
         .iter()
         .map(|picture| Weights::of(picture, &set.files[0], &seeds, layout, request))
         .collect::<Result<_>>()?;
-    halves[1].path = seeds.get(of_pictures[0].first_of_b().saturating_sub(1)).map_or_else(
-        || halves[1].path.clone(),
-        |seed| seed.path.clone(),
-    );
+    halves[1].path = seeds
+        .get(of_pictures[0].first_of_b().saturating_sub(1))
+        .map_or_else(|| halves[1].path.clone(), |seed| seed.path.clone());
     // The halves are made of the seeds as they are, so they come before the means.
     let half_files = [set.files.len(), set.files.len() + 1];
     for (index, weights) in of_pictures.iter().enumerate() {
@@ -386,9 +385,8 @@ fn averaged(file: &ExrFile, classified: &Classified, layer: usize, is_used: bool
     };
     // A colour that no rule names, or a feature that no rule names but comes with a variance.
     let Some(meaning) = meaning else { return Some(Quantity::Mean).filter(|_| is_used) };
-    let is_of_samples = role_of(meaning).is_none_or(|role| {
-        matches!(role, RoleName::Color | RoleName::Alpha | RoleName::Light) || role.is_feature()
-    });
+    let is_of_samples = role_of(meaning)
+        .is_none_or(|role| matches!(role, RoleName::Color | RoleName::Alpha | RoleName::Light) || role.is_feature());
     match meaning.quantity {
         Quantity::Mean if is_of_samples && meaning.role != Some(RoleName::Denoised) => Some(Quantity::Mean),
         quantity if quantity.is_variance() && is_of_samples => Some(quantity),

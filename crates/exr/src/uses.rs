@@ -60,9 +60,9 @@ fn add(used: &mut Vec<Used>, picture: usize, source: &SignalSource, role: &dyn F
     ];
     for (planes, part) in parts {
         let Some(planes) = planes else { continue };
-        let quantity = variance.map(|variance| variance.quantity).filter(|quantity| {
-            part == SignalPart::Variance && *quantity != Quantity::VarianceOfMean
-        });
+        let quantity = variance
+            .map(|variance| variance.quantity)
+            .filter(|quantity| part == SignalPart::Variance && *quantity != Quantity::VarianceOfMean);
         let id = LayerId { file: planes.file, layer: planes.layer };
         let unit = source.unit.filter(|_| part == SignalPart::Mean);
         used.push(Used { id, picture, role: role(part), quantity, unit });
@@ -92,14 +92,19 @@ pub(crate) fn layer_uses(set: &BufferSet, classified: &[Classified], rules: &[Ru
                 let of = meaning.and_then(|meaning| meaning.of);
                 let described = of.and_then(|of| classified[of.file].meanings[of.layer].as_ref());
                 let quantity = meaning.map_or(Quantity::Mean, |meaning| meaning.quantity);
-                found.role = match meaning.and_then(|meaning| meaning.role.or_else(|| described.and_then(|it| it.role))) {
+                found.role = match meaning.and_then(|meaning| meaning.role.or_else(|| described.and_then(|it| it.role)))
+                {
                     Some(RoleName::Light) => Role::Light,
                     Some(RoleName::Alpha) if quantity == Quantity::Mean => Role::Alpha,
                     Some(RoleName::Id) if quantity == Quantity::Mean => Role::Id,
                     Some(RoleName::Denoised) if quantity == Quantity::Mean => Role::Denoised,
                     _ => Role::Untouched,
                 };
-                found.quantity = Some(quantity).filter(|it| found.role == Role::Light && *it != Quantity::Mean);
+                found.quantity = Some(quantity).filter(|quantity| match found.role {
+                    Role::Light => *quantity != Quantity::Mean,
+                    Role::Untouched => *quantity == Quantity::NotAVariance,
+                    _ => false,
+                });
                 found.note = found.note.or_else(|| rule.and_then(|rule| rule.why.clone()));
             }
             uses.push(found);

@@ -104,11 +104,7 @@ pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'
 ///
 /// # Errors
 /// As [`write_denoised`].
-pub(crate) fn write_pictures(
-    set: BufferSet,
-    output: &Path,
-    denoised: &[DenoisedLayers<'_>],
-) -> Result<WriteReport> {
+pub(crate) fn write_pictures(set: BufferSet, output: &Path, denoised: &[DenoisedLayers<'_>]) -> Result<WriteReport> {
     let places: Vec<(usize, Extent)> =
         (0..set.pictures.len()).map(|index| (set.color_part(index), set.data_window_of(index).extent)).collect();
     let BufferSet { files, pictures, .. } = set;
@@ -251,9 +247,7 @@ impl Writer<'_> {
         match self.stored_types[part][channel] {
             SampleType::F16 => FlatSamples::F16(plane.iter().map(|&value| self.half(value)).collect()),
             SampleType::F32 => FlatSamples::F32(plane.iter().map(|&value| self.finite(value)).collect()),
-            SampleType::U32 => {
-                FlatSamples::U32(plane.iter().map(|&value| self.finite(value).round() as u32).collect())
-            }
+            SampleType::U32 => FlatSamples::U32(plane.iter().map(|&value| self.finite(value).round() as u32).collect()),
         }
     }
 
@@ -271,12 +265,7 @@ impl Writer<'_> {
         }
     }
 
-    fn add(
-        &mut self,
-        layer: &mut Layer<AnyChannels<FlatSamples>>,
-        extent: Extent,
-        extra: &NamedLayer,
-    ) -> Result<()> {
+    fn add(&mut self, layer: &mut Layer<AnyChannels<FlatSamples>>, extent: Extent, extra: &NamedLayer) -> Result<()> {
         self.check(&extra.image, extra.channels.len(), extent, &extra.name)?;
         let list = &mut layer.channel_data.list;
         let names: Vec<String> = extra.channels.iter().map(|suffix| full_name(extra, suffix)).collect();
