@@ -405,7 +405,7 @@ fn a_map_survives_its_file() {
     let map = SamplingMap::new(&density, 6.0, None).unwrap();
     let drawn = SampleCounts::from_samples(extent, &[0, 2, 4, 6, 8, 1 << 20]).unwrap();
     let path = folder.path("map.exr");
-    MapFile { map: map.clone(), drawn: Some(drawn.clone()) }.write(&path, &[]).unwrap();
+    MapFile { map: map.clone(), drawn: Some(drawn.clone()), windows: None }.write(&path, &[]).unwrap();
     let read = MapFile::read(&path).unwrap();
     assert_eq!((read.map.density, read.map.counts, read.drawn), (map.density, map.counts, Some(drawn)));
 }

@@ -23,7 +23,7 @@ use super::explain::Explained;
 use super::filter::{Chosen, Filter};
 use super::inspect::Input;
 use super::options::{Device, Source};
-use super::report::{self, FrameReport, Report, Run, Settings};
+use super::report::{self, FrameReport, PictureReport, Report, Run, Settings};
 use super::{Failure, Out, interrupt, quality};
 use frame_list::FrameList;
 use plan::{PlannedFrame, ShotPlan, State};
@@ -31,7 +31,7 @@ use progress::{Progress, ProgressKind};
 use reader::{Frames, ReadFrame, Unusable};
 use results::Results;
 use shot::{BadFrames, Beside, Reported, ShotReport};
-use writer::{Contents, Denoised, Done, Writer};
+use writer::{Contents, Denoised, DenoisedPicture, Done, Writer};
 
 const EXAMPLE: &str = "\
 The output keeps the header and the layers of the input. The denoised colour and its halves replace the noisy ones. \
@@ -353,8 +353,8 @@ impl ShotRun<'_> {
                 results.leave_out(&failure, out);
                 continue;
             }
-            let Neighbours { mut frames, centre, beside } = neighbours(window, planned.centre);
-            let Some((original, described)) = frames[centre].original.take() else {
+            let own = window[planned.centre].as_mut().ok().and_then(|own| own.original.take());
+            let Some((original, described)) = own else {
                 unreachable!("frames that are denoised are read with all that is in their files")
             };
             // Describes the input again if it is used differently from the frame before. The text is printed with the
@@ -367,9 +367,9 @@ impl ShotRun<'_> {
                 results.progress.say(out, introduction);
             }
             before = Some((*described).clone());
-            let read = Read { original, described, introduction, centre, beside };
+            let read = Read { original, described, introduction };
             match self
-                .frame(planned, &mut frames, read, denoiser, results, out)
+                .frame(planned, window, read, denoiser, results, out)
                 .map_err(|failure| failure.in_frame(planned.number))
             {
                 Err(failure) if failure.is_of_input() && self.plan.is_shot => {
@@ -386,80 +386,86 @@ impl ShotRun<'_> {
         Ok(())
     }
 
-    /// Denoises a frame and hands it to the writer.
+    /// Denoises the pictures of a frame and hands them to the writer.
     fn frame(
         &self,
         planned: &PlannedFrame,
-        window: &mut [&mut ReadFrame],
+        window: &mut [Result<ReadFrame, Unusable>],
         read: Read,
         denoiser: &Denoiser,
         results: &mut Results,
         out: &mut Out,
     ) -> Result<(), Failure> {
-        let Read { original, described, introduction, centre, beside } = read;
-        let reference = window[centre].reference.take();
-        let mut needed = self.keep.clone();
-        if reference.is_some() {
-            needed.extend(
-                quality::NEEDED
-                    .iter()
-                    .filter(|one| self.method.intermediates().contains(one) && !self.keep.contains(one)),
-            );
-        }
-        let frames: Vec<&Frame> = window.iter().map(|frame| &*frame.frame).collect();
-        if self.args.dry_run {
-            let plan = denoiser.plan(
-                &frames,
-                centre,
-                &Options { keep: &needed, error: !self.args.no_error, ..Default::default() },
-            )?;
-            let explained = self.args.explain.then(|| Explained::new(&plan, None));
-            let report = FrameReport {
-                input: *described,
-                strips: plan.strips,
-                plan: explained,
-                run: None,
-                output: None,
-                errors: None,
+        let Read { original, described, introduction } = read;
+        let count = window[planned.centre].as_ref().map_or(0, |own| own.pictures.len());
+        let mut beside: Option<Beside> = None;
+        let mut planned_only = Vec::new();
+        let mut pictures = Vec::new();
+        for picture in 0..count {
+            let neighbours = neighbours(window, planned.centre, picture);
+            let (reference, data_window) = match &mut window[planned.centre] {
+                Ok(own) => (own.pictures[picture].reference.take(), own.pictures[picture].data_window),
+                Err(unusable) => return Err(unusable.failure.clone()),
             };
+            match &mut beside {
+                None => beside = Some(neighbours.beside),
+                // What is left out is the same for most pictures.
+                Some(beside) => {
+                    let other = neighbours.beside.left_out;
+                    let new: Vec<_> = other.into_iter().filter(|text| !beside.left_out.contains(text)).collect();
+                    beside.left_out.extend(new);
+                }
+            }
+            let frames: Vec<&Frame> = neighbours.frames.iter().map(|frame| &**frame).collect();
+            let mut needed = self.keep.clone();
+            if reference.is_some() {
+                let has = self.method.intermediates();
+                needed.extend(quality::NEEDED.iter().filter(|one| has.contains(one) && !self.keep.contains(one)));
+            }
+            let layer = (count > 1).then(|| original.pictures().nth(picture).unwrap_or_default().to_owned());
+            if self.args.dry_run {
+                let options = Options { keep: &needed, error: !self.args.no_error, ..Default::default() };
+                let plan = denoiser.plan(&frames, neighbours.centre, &options)?;
+                let explained = self.args.explain.then(|| Explained::new(&plan, None));
+                planned_only.push(PictureReport {
+                    layer,
+                    strips: plan.strips,
+                    plan: explained,
+                    run: None,
+                    errors: None,
+                });
+                continue;
+            }
+            let start = Instant::now();
+            // Reporting progress makes the device wait. On a software device that costs nothing, and a frame takes long
+            // enough to be interrupted.
+            let is_wanted = results.progress.is_wanted() || denoiser.gpu().is_software();
+            let mut tell = |share: f32| {
+                results.progress.share((picture as f32 + share) / count as f32, out);
+                if interrupt::is_asked() { ControlFlow::Break(()) } else { results.collect(out) }
+            };
+            let options = Options {
+                keep: &needed,
+                error: !self.args.no_error,
+                progress: if is_wanted { Some(&mut tell) } else { None },
+                ..Default::default()
+            };
+            let estimate = denoiser.denoise_window(&frames, neighbours.centre, options)?;
+            let run = Run::new(&estimate, start.elapsed().as_secs_f64());
+            let plan = self.args.explain.then(|| Explained::new(&estimate.plan, estimate.step_times.as_deref()));
+            let frame = Arc::clone(&neighbours.frames[neighbours.centre]);
+            pictures.push(DenoisedPicture { layer, frame, reference, data_window, estimate, run, plan });
+        }
+        let beside = beside.unwrap_or_default();
+        if self.args.dry_run {
+            let report = FrameReport::new(*described, planned_only, None);
             results.progress.denoised(out);
             results.add(Ok(Done { introduction, reported: Reported { number: planned.number, beside, report } }), out);
             return Ok(());
         }
-
-        let start = Instant::now();
-        // Reporting progress makes the device wait. On a software device that costs nothing, and a frame takes long
-        // enough to be interrupted.
-        let is_wanted = results.progress.is_wanted() || denoiser.gpu().is_software();
-        let mut tell = |share: f32| {
-            results.progress.share(share, out);
-            if interrupt::is_asked() { ControlFlow::Break(()) } else { results.collect(out) }
-        };
-        let options = Options {
-            keep: &needed,
-            error: !self.args.no_error,
-            progress: if is_wanted { Some(&mut tell) } else { None },
-            ..Default::default()
-        };
-        let estimate = denoiser.denoise_window(&frames, centre, options)?;
-        let run = Run::new(&estimate, start.elapsed().as_secs_f64());
-        let plan = self.args.explain.then(|| Explained::new(&estimate.plan, estimate.step_times.as_deref()));
-        let frame = Arc::clone(&window[centre].frame);
         let output = planned.output.clone();
         results.hand_over(
-            Denoised {
-                number: planned.number,
-                beside,
-                output,
-                original,
-                described,
-                introduction,
-                frame,
-                reference,
-                estimate,
-                run,
-                plan,
-            },
+            Denoised { number: planned.number, beside, output, original, described, introduction, pictures },
             out,
         )
     }
@@ -470,34 +476,33 @@ struct Read {
     original: Box<BufferSet>,
     described: Box<Input>,
     introduction: Option<String>,
-    /// Position of the frame among the frames that it is denoised with.
+}
+
+/// The frames that a picture is denoised with, itself among them.
+struct Neighbours {
+    frames: Vec<Arc<Frame>>,
+    /// Position of the picture itself in `frames`.
     centre: usize,
     beside: Beside,
 }
 
-/// The frames that a frame is denoised with, itself among them.
-struct Neighbours<'f> {
-    frames: Vec<&'f mut ReadFrame>,
-    /// Position of the frame itself in `frames`.
-    centre: usize,
-    beside: Beside,
-}
-
-/// Returns the usable frames of a window. Leaves out frames that cannot be used, at all or together with the frame at
-/// `centre`, which is usable.
-fn neighbours(window: &mut [Result<ReadFrame, Unusable>], centre: usize) -> Neighbours<'_> {
-    let own = window[centre].as_ref().ok().map(|own| (own.data_window, own.frame.noise_knowledge()));
+/// Returns a picture of the usable frames of a window. Leaves out frames that cannot be used, at all or together with
+/// the frame at `centre`, which is usable.
+fn neighbours(window: &[Result<ReadFrame, Unusable>], centre: usize, picture: usize) -> Neighbours {
+    let of = |frame: &'_ ReadFrame| frame.pictures.get(picture).map(|it| (it.data_window, it.frame.noise_knowledge()));
+    let own = window[centre].as_ref().ok().and_then(of);
     let mut found = Neighbours { frames: Vec::new(), centre: 0, beside: Beside::default() };
-    for (index, other) in window.iter_mut().enumerate() {
+    for (index, other) in window.iter().enumerate() {
         let left_out = match other {
             Err(unusable) => Some(unusable.failure.cause().to_owned()),
             Ok(other) => {
                 let number = other.number.map_or_else(String::new, |number| format!("frame {number}"));
-                match own {
-                    Some((window, _)) if window != other.data_window => {
-                        Some(format!("{number}: its pixels are {}, not {window}", other.data_window))
+                match (own, of(other)) {
+                    (_, None) => Some(format!("{number}: it has fewer pictures")),
+                    (Some((window, _)), Some((data_window, _))) if window != data_window => {
+                        Some(format!("{number}: its pixels are {data_window}, not {window}"))
                     }
-                    Some((_, noise)) if noise != other.frame.noise_knowledge() => {
+                    (Some((_, noise)), Some((_, other))) if noise != other => {
                         Some(format!("{number}: halves or variance of its colour are not known as they are here"))
                     }
                     _ => None,
@@ -510,7 +515,7 @@ fn neighbours(window: &mut [Result<ReadFrame, Unusable>], centre: usize) -> Neig
                     found.centre = found.frames.len();
                 }
                 found.beside.window.extend(other.number);
-                found.frames.push(other);
+                found.frames.extend(other.pictures.get(picture).map(|it| Arc::clone(&it.frame)));
             }
             (left_out, _) => found.beside.left_out.extend(left_out.map(|cause| format!("not filtered with {cause}"))),
         }

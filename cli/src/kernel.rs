@@ -4,11 +4,13 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 use stein::gpu::AdapterSummary;
+use stein::image::Window;
 use stein::kernels::WeightRule;
 use stein::method::PlannedStep;
 use stein::text::{self, number};
 use stein::{Error, Extent, FilterKernel, Image, Kernels, Options};
-use stein_exr::{NamedLayer, write_layers};
+use stein_exr::picture_file::Format;
+use stein_exr::{NamedLayer, Windows, write_layers_in};
 
 use super::filter::Filter;
 use super::inspect::{Input, settle_first};
@@ -144,7 +146,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     args.source.check(&method)?;
     let request = args.source.for_method(&method).request(input, &args.seeds);
     if let Some(file) = &args.output {
-        output::check(file, request.files(), false, false)?;
+        output::check(file, &[Format::OpenExr], request.files(), false, false)?;
     }
 
     let mut set = options::read(&request)?;
@@ -164,7 +166,9 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
             ));
         }
         let texts = [("pixel".to_owned(), format!("{x},{y}")), ("method".to_owned(), method.name().to_owned())];
-        write_layers(file, &layers(&kernels), &texts).map_err(Failure::output)?;
+        let layers = layers(&kernels);
+        let windows = around((x, y), &layers, set.windows());
+        write_layers_in(Some(windows), file, &layers, &texts).map_err(Failure::output)?;
     }
 
     let filters: Vec<_> = kernels.filters.iter().map(Summary::new).collect();
@@ -201,6 +205,14 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         left_out,
         output: args.output.clone(),
     })
+}
+
+/// Returns the windows of a file whose layers show the surroundings of a pixel of the input.
+fn around((x, y): (u32, u32), layers: &[NamedLayer], input: Windows) -> Windows {
+    let extent = layers.first().map_or(input.data.extent, |layer| layer.image.extent);
+    let start = |first: i32, at: u32, side: u32| first.saturating_add_unsigned(at).saturating_sub_unsigned(side / 2);
+    let (left, top) = (start(input.data.x, x, extent.width), start(input.data.y, y, extent.height));
+    Windows { data: Window { x: left, y: top, extent }, ..input }
 }
 
 /// Returns all windows as layers, each centred and as large as the largest.

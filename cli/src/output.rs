@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use stein::text;
 use stein_exr::atomic_file::Aside;
+use stein_exr::picture_file::Format;
 use stein_exr::same_file;
 
 use super::Failure;
@@ -30,14 +31,18 @@ pub(crate) fn scratch() -> Result<Aside<tempfile::TempDir>, Failure> {
     })
 }
 
-/// Reports before the work what would fail after it.
+/// Formats of a denoised picture. PFM and PNG hold its colour alone.
+pub(crate) const PICTURE: &[Format] = &[Format::OpenExr, Format::Pfm, Format::Png];
+
+/// Reports before the work what would fail after it. The output has one of these formats.
 pub(crate) fn check<'a>(
     output: &Path,
+    formats: &[Format],
     others: impl Iterator<Item = &'a Path>,
     no_clobber: bool,
     dry_run: bool,
 ) -> Result<(), Failure> {
-    check_name(output, others.filter(|other| same_file(output, other)))?;
+    check_name(output, formats, others.filter(|other| same_file(output, other)))?;
     if no_clobber && output.exists() {
         let name = text::path(output);
         return Err(Failure::output(format_args!(
@@ -47,13 +52,21 @@ pub(crate) fn check<'a>(
     check_folder(output, dry_run)
 }
 
-/// Checks that the output is an OpenEXR file and replaces no file that is read. `same_files` are the files to read that
-/// are the same file as the output.
-pub(crate) fn check_name<'a>(output: &Path, mut same_files: impl Iterator<Item = &'a Path>) -> Result<(), Failure> {
+/// Checks that the output is a file of a known format and replaces no file that is read. `same_files` are the files to
+/// read that are the same file as the output.
+pub(crate) fn check_name<'a>(
+    output: &Path,
+    formats: &[Format],
+    mut same_files: impl Iterator<Item = &'a Path>,
+) -> Result<(), Failure> {
     let name = text::path(output);
-    if !output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr")) {
+    if !Format::from_extension(output).is_some_and(|format| formats.contains(&format)) {
+        let (kinds, colour_alone) = match formats {
+            [Format::OpenExr] => ("OpenEXR", ""),
+            _ => ("OpenEXR, PFM or PNG", ", or in .pfm or .png for the colour alone"),
+        };
         return Err(Failure::usage(format_args!(
-            "{name}: the output is an OpenEXR file\n  remedy: give it a name that ends in .exr"
+            "{name}: the output is an {kinds} file\n  remedy: give it a name that ends in .exr{colour_alone}"
         )));
     }
     if let Some(other) = same_files.next() {

@@ -10,6 +10,7 @@ use serde::Serialize;
 use stein::sampling::{SampleCounts, Sampler};
 use stein::text;
 use stein::{Extent, Image};
+use stein_exr::picture_file::Format;
 use stein_exr::{NamedLayer, write_layers};
 use stein_stub::{Sequence, StubSampler, scene, scenes};
 
@@ -124,7 +125,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let file = args.output.clone().unwrap_or_else(|| {
         PathBuf::from(if args.reference { format!("{name}_reference.exr") } else { format!("{name}.exr") })
     });
-    output::check(&file, args.map.as_deref().into_iter(), false, false)?;
+    output::check(&file, &[Format::OpenExr], args.map.as_deref().into_iter(), false, false)?;
 
     let map = args.map.as_deref().map(MapFile::read).transpose()?;
     let extent = map.as_ref().map_or(args.picture.extent(), |map| map.map.counts.extent());
@@ -132,7 +133,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let seed = if args.reference { !args.picture.seed } else { args.picture.seed };
     let mut sampler = args.picture.sampler(name, extent, seed)?;
     let counts = match (map, args.spp) {
-        (Some(MapFile { map, drawn }), _) => {
+        (Some(MapFile { map, drawn, .. }), _) => {
             if let Some(drawn) = drawn {
                 sampler = sampler.continue_after(&drawn)?;
             }

@@ -32,17 +32,31 @@ pub(crate) struct Settings {
     pub(crate) kept: Vec<&'static str>,
 }
 
-/// Report of one image.
+/// Report of one frame.
 #[derive(Debug, Serialize)]
 pub(crate) struct FrameReport {
     pub(crate) input: Input,
+    /// The first picture of the frame.
+    #[serde(flatten)]
+    pub(crate) first: PictureReport,
+    /// Other pictures, such as other view layers.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(crate) further_pictures: Vec<PictureReport>,
+    pub(crate) output: Option<Written>,
+}
+
+/// Report of one picture of a frame.
+#[derive(Debug, Serialize)]
+pub(crate) struct PictureReport {
+    /// Layer of the colour, if the frame has several pictures.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) layer: Option<String>,
     /// Number of strips in which the image was (or, in a dry run, would be) processed.
     pub(crate) strips: usize,
     /// Plan, if `--explain` asks for it.
     pub(crate) plan: Option<Explained>,
     /// Figures of the run; `None` in a dry run.
     pub(crate) run: Option<Run>,
-    pub(crate) output: Option<Written>,
     /// Errors; `None` without a reference.
     pub(crate) errors: Option<Vec<Errors>>,
 }
@@ -81,47 +95,70 @@ pub(crate) fn names(keep: &[Intermediate]) -> Vec<&'static str> {
 }
 
 impl FrameReport {
+    /// Makes the report of a frame with these pictures, of which there is at least one.
+    pub(crate) fn new(input: Input, pictures: Vec<PictureReport>, output: Option<Written>) -> Self {
+        let mut pictures = pictures.into_iter();
+        let Some(first) = pictures.next() else { unreachable!("a frame has a picture") };
+        Self { input, first, further_pictures: pictures.collect(), output }
+    }
+
+    pub(crate) fn pictures(&self) -> impl Iterator<Item = &PictureReport> {
+        std::iter::once(&self.first).chain(&self.further_pictures)
+    }
+
     /// Formats the text after the description of the input, without the errors.
     pub(crate) fn text(&self, device: &AdapterSummary, verbose: bool) -> String {
         let mut lines = Vec::new();
-        let strips = if self.strips > 1 { format!(", in {} strips", self.strips) } else { String::new() };
-        match &self.run {
-            None => lines.push(format!("would work on {}{strips}; nothing is written", device.name)),
-            Some(run) => {
-                if let Some(written) = &self.output {
-                    lines.extend(written.notes.iter().map(|note| format!("  {note}")));
-                    lines.push(format!(
-                        "{}: {} on {}{strips}",
-                        text::path(&written.file),
-                        seconds(run.seconds),
-                        device.name
-                    ));
-                }
-                // Without spikes there is no line, as for other repairs.
-                lines.extend(
-                    run.spikes.filter(|spikes| verbose || spikes.pixels > 0).map(|spikes| format!("  {spikes}")),
-                );
-                if verbose {
-                    lines.push(format!(
-                        "  {} on the device, {} pixels averaged per pixel{}",
-                        human_bytes(run.peak_bytes),
-                        number(run.mean_weight_sum),
-                        run.mean_estimated_squared_error.map_or_else(String::new, |error| format!(
-                            ", mean squared error estimated at {}",
-                            number(error)
-                        ))
-                    ));
-                    lines.push(
-                        run.stage_times
-                            .as_deref()
-                            .map_or_else(|| "  this adapter cannot time stages".into(), stage_table),
-                    );
-                }
+        let most_strips = self.pictures().map(|picture| picture.strips).max().unwrap_or(1);
+        let strips = if most_strips > 1 { format!(", in {most_strips} strips") } else { String::new() };
+        let runs = || self.pictures().filter_map(|picture| picture.run.as_ref());
+        if runs().next().is_none() {
+            lines.push(format!("would work on {}{strips}; nothing is written", device.name));
+        }
+        if let Some(written) = &self.output {
+            lines.extend(written.notes.iter().map(|note| format!("  {note}")));
+            let time = runs().map(|run| run.seconds).sum();
+            lines.push(format!("{}: {} on {}{strips}", text::path(&written.file), seconds(time), device.name));
+        }
+        for picture in self.pictures() {
+            lines.extend(picture.lines(verbose));
+        }
+        lines.join("\n")
+    }
+}
+
+impl PictureReport {
+    fn lines(&self, verbose: bool) -> Vec<String> {
+        let mut lines = Vec::new();
+        if let Some(run) = &self.run {
+            // Without spikes there is no line, as for other repairs.
+            lines.extend(run.spikes.filter(|spikes| verbose || spikes.pixels > 0).map(|spikes| format!("  {spikes}")));
+            if verbose {
+                let error = run.mean_estimated_squared_error;
+                lines.push(format!(
+                    "  {} on the device, {} pixels averaged per pixel{}",
+                    human_bytes(run.peak_bytes),
+                    number(run.mean_weight_sum),
+                    error.map_or_else(String::new, |error| format!(
+                        ", mean squared error estimated at {}",
+                        number(error)
+                    ))
+                ));
+                let times = run.stage_times.as_deref();
+                lines.push(times.map_or_else(|| "  this adapter cannot time stages".into(), stage_table));
             }
         }
         lines.extend(self.plan.as_ref().map(Explained::text));
-        lines.join("\n")
+        if let Some(layer) = self.layer.as_ref().filter(|_| !lines.is_empty()) {
+            lines.insert(0, format!("  {}:", picture_name(layer)));
+        }
+        lines
     }
+}
+
+/// Formats the name of a picture's layer.
+pub(crate) fn picture_name(layer: &str) -> String {
+    if layer.is_empty() { "R G B".into() } else { text::name(layer).into_owned() }
 }
 
 /// Formats the location of the compiled shaders; `None` if they are not kept.

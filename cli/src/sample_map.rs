@@ -3,6 +3,7 @@
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use stein_exr::MapFile;
+use stein_exr::picture_file::Format;
 
 use serde::Serialize;
 use stein::Options;
@@ -131,7 +132,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     args.source.check(&method)?;
     let request = args.source.for_method(&method).request(input, &args.seeds);
     let file = args.output.clone().unwrap_or_else(|| input.with_extension("map.exr"));
-    output::check(&file, request.files(), false, false)?;
+    output::check(&file, &[Format::OpenExr], request.files(), false, false)?;
 
     let mut set = options::read(&request)?;
     let (frame, described) = settle_first(&mut set, args.source.demands);
@@ -149,9 +150,8 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let density = sampling_density(&estimate, budget, budget * f64::from(SamplingMap::DEFAULT_CAP))?;
     let map = SamplingMap::new(&density, budget, Some(cap)).map_err(Failure::usage)?;
     let spread = Spread::of(&map.counts);
-    MapFile { map, drawn: drawn(&set.samples_per_pixel(), frame.extent()) }
-        .write(&file, &[])
-        .map_err(Failure::output)?;
+    let drawn = drawn(&set.samples_per_pixel(), frame.extent());
+    MapFile { map, drawn, windows: Some(set.windows()) }.write(&file, &[]).map_err(Failure::output)?;
     out.say(format_args!("{}: {spread}", text::path(&file)));
     if args.json {
         out.json(&Document { input: described, device: gpu.summary().clone(), output: file, map: spread })

@@ -7,9 +7,8 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use libfuzzer_sys::{Corpus, fuzz_target};
-use stein::Frame;
-use stein::buffers::{BufferSet, BufferSetRequest, DenoisedLayers, read_reference, write_denoised};
 use stein::frame::Signal;
+use stein_exr::{BufferSet, BufferSetRequest, DenoisedLayers, read_reference, write_denoised};
 
 /// A file in memory, where there is such a place. One for each process: the fuzzer may run several.
 static FILE: LazyLock<PathBuf> = LazyLock::new(|| {
@@ -62,7 +61,7 @@ fn write_and_read_again(set: &BufferSet, file: &Path) {
 fn read(file: &Path) -> Corpus {
     let names_the_file = |error: stein::Error| {
         let text = error.to_string();
-        assert!(text.contains("stein-fuzz-") && text.contains("remedy: "), "{text}");
+        assert!(text.contains("stein-fuzz-") && !error.remedies().is_empty(), "{text}");
     };
     if let Err(error) = read_reference(file, None) {
         names_the_file(error);
@@ -79,7 +78,7 @@ fn read(file: &Path) -> Corpus {
     }
     write_and_read_again(&set, file);
     // Without a usable pixel there is no frame.
-    if let Ok((frame, _)) = Frame::from_buffer_set(&set) {
+    if let Ok((frame, _)) = set.to_frame() {
         let features = frame.features().iter().map(|feature| &feature.signal);
         for signal in std::iter::once(frame.color()).chain(features) {
             let Signal { mean, half_spread, variance_of_mean } = signal;

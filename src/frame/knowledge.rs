@@ -9,8 +9,7 @@ use crate::error::{Error, RequestCause, Result};
 
 /// The remark on a colour without halves and variance, see [`NoiseKnowledge::ImageOnly`].
 pub const IMAGE_ONLY: &str = "colour: its noise is estimated from the image itself; two renders with different \
-                                     seeds are better: both as halves (layers `halfA` and `halfB`, or options \
-                                     --half-a and --half-b), their average as the input";
+                                     seeds are better: give both";
 
 /// Sources from which the noise of a signal is known. Displays as a phrase such as `two seeds`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

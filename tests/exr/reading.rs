@@ -268,6 +268,17 @@ fn a_layer_reference_is_split_at_its_last_double_colon() {
 }
 
 #[test]
+fn usual_names_in_a_file_of_another_renderer_keep_their_meaning() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata/mitsuba");
+    let set = read(&folder.join("iteration_1.exr"));
+    assert_eq!(set.layout().name, "mitsuba");
+    let color = set.color();
+    assert!(color.half_a.is_some() && color.half_b.is_some() && color.variance_of_mean.is_some());
+    assert_eq!(set.feature_names().collect::<Vec<_>>(), ["albedo", "depth", "normal"]);
+    assert!(set.features().all(|(_, signal)| signal.half_a.is_some() && signal.variance_of_mean.is_some()));
+}
+
+#[test]
 fn the_test_renders_are_native_layout() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata");
     let renders =

@@ -11,6 +11,7 @@ use stein::frame::Repairs;
 use stein::method::Plan;
 use stein::sampling::estimated_relative_mse;
 use stein::{Denoiser, Estimate, Frame, Image, Options, Preset, text};
+use stein_exr::picture_file::PngEncoding;
 use stein_exr::{BufferSetRequest, LayerRef};
 use stein_metric as metric;
 
@@ -80,6 +81,7 @@ impl Source {
             samples,
             layout,
             no_siblings,
+            png_encoding,
         } = &self.request;
         let input = LayerRef { file: input.clone(), layer: layer.clone() };
         let named = [("half A", half_a), ("half B", half_b), ("variance", variance), ("reference", &self.reference)];
@@ -92,6 +94,7 @@ impl Source {
         });
         let samples = samples.map(|count| format!("{count} samples per pixel"));
         let layout = layout.as_ref().map(|layout| format!("read as {}", text::name(layout)));
+        let linear = (*png_encoding == PngEncoding::Linear).then(|| "linear values in PNG files".to_owned());
         let alone = no_siblings.then(|| "without files beside the input".to_owned());
         let skipped = skip_features.iter().map(|name| format!("without the feature {}", text::name(name)));
         let none = no_features.then(|| "without other features of the input".to_owned());
@@ -103,6 +106,7 @@ impl Source {
             .chain(none)
             .chain(samples)
             .chain(layout)
+            .chain(linear)
             .chain(alone)
             .collect()
     }

@@ -104,7 +104,7 @@ impl Folder {
         let Some((iterations, file)) = found else {
             return Ok(None);
         };
-        let set = BufferSet::read(&BufferSetRequest { input: file.clone(), ..Default::default() })?;
+        let set = BufferSet::read(&BufferSetRequest { input: file.clone(), no_siblings: true, ..Default::default() })?;
         let then = set.text_attribute(ATTRIBUTE).and_then(|text| serde_json::from_str(&text).ok());
         let now = serde_json::from_str(&self.setup).ok();
         let (Some(then), Some(now)) = (then, now) else {
@@ -128,7 +128,7 @@ impl Folder {
 
     /// Writes the map of the samples that are drawn next.
     pub(crate) fn write_map(&self, label: &str, map: &SamplingMap, drawn: Option<&Samples>) -> Result<(), Failure> {
-        let file = MapFile { map: map.clone(), drawn: drawn.map(Samples::counts) };
+        let file = MapFile { map: map.clone(), drawn: drawn.map(Samples::counts), windows: None };
         file.write(&self.path.join(format!("map_{label}.exr")), &[]).map_err(Failure::output)
     }
 

@@ -120,7 +120,7 @@ impl Sampler for Renderer<'_> {
         let (Turn::Iteration(iteration) | Turn::Uniform(iteration)) = self.turn;
         let (iteration, map, quoted_out) = (OsString::from(iteration.to_string()), quoted(&map), quoted(&out));
         self.run(&text::fill(self.command, &[("{map}", &map), ("{out}", &quoted_out), ("{iteration}", &iteration)]))?;
-        let set = BufferSet::read(&BufferSetRequest { input: out.clone(), ..Default::default() })?;
+        let set = BufferSet::read(&BufferSetRequest { input: out.clone(), no_siblings: true, ..Default::default() })?;
         let samples = set.to_samples().map_err(|error| error.in_file(&out))?;
         if samples.extent() != self.extent {
             let problem = format!("is of {}, but the map of {}", samples.extent(), self.extent);

@@ -116,7 +116,13 @@ impl ShotPlan {
             is_denoised: true,
         };
         // The user may replace the input, and a half may be a layer of the input.
-        output::check(&output, read.files().filter(|file| *file != input), args.no_clobber, args.dry_run)?;
+        output::check(
+            &output,
+            output::PICTURE,
+            read.files().filter(|file| *file != input),
+            args.no_clobber,
+            args.dry_run,
+        )?;
         let frame =
             PlannedFrame { number: None, input: input.to_owned(), output, state: State::ToDo, window: 0..1, centre: 0 };
         Ok(Self { reads: vec![read], frames: vec![frame], gaps: Vec::new(), is_shot: false })
@@ -254,7 +260,7 @@ fn check_outputs(frames: &[PlannedFrame], reads: &[Read], dry_run: bool) -> Resu
     let mut folder = None;
     for frame in frames {
         let also_read = frame.output.canonicalize().ok().and_then(|output| read.get(&output).copied());
-        output::check_name(&frame.output, also_read.into_iter())?;
+        output::check_name(&frame.output, output::PICTURE, also_read.into_iter())?;
         // Checks the folder again only if it changes: most shots have one folder.
         if folder != frame.output.parent() {
             output::check_folder(&frame.output, dry_run)?;

@@ -11,16 +11,22 @@ use stein::{Frame, Image};
 use stein_exr::BufferSet;
 
 use super::plan::Read;
-use crate::inspect::{Input, settle_first};
+use crate::inspect::{Input, settle};
 use crate::{Failure, options};
 
 /// A frame in memory.
 pub(super) struct ReadFrame {
     pub(super) number: Option<u32>,
-    pub(super) frame: Arc<Frame>,
-    pub(super) reference: Option<Image>,
+    /// Pictures of the frame, such as view layers; mostly one.
+    pub(super) pictures: Vec<ReadPicture>,
     /// Data for the frame's output, until the frame is denoised; `None` for a frame that only serves as a neighbour.
     pub(super) original: Option<(Box<BufferSet>, Box<Input>)>,
+}
+
+/// A picture of a frame.
+pub(super) struct ReadPicture {
+    pub(super) frame: Arc<Frame>,
+    pub(super) reference: Option<Image>,
     pub(super) data_window: Window,
 }
 
@@ -78,17 +84,23 @@ fn load(read: &Read) -> Result<ReadFrame, Unusable> {
     let number = read.number;
     let unusable = |described, failure: Failure| Unusable { number, described, failure: failure.in_frame(number) };
     let mut set = options::read(&read.request).map_err(|failure| unusable(None, failure))?;
-    let (frame, described) = settle_first(&mut set, read.demands);
+    let (frames, described) = settle(&mut set, read.demands);
     let described = Box::new(described);
-    let frame = match frame {
-        Ok(frame) => frame,
+    let frames = match frames {
+        Ok(frames) => frames,
         Err(error) => return Err(unusable(Some(described), Failure::in_file(&read.request.input, error))),
     };
-    let reference = match read.reference.as_ref().map(|reference| set.read_reference(0, reference)).transpose() {
-        Ok(reference) => reference,
-        Err(error) => return Err(unusable(Some(described), error.into())),
-    };
-    let data_window = set.data_window();
+    let mut pictures = Vec::with_capacity(frames.len());
+    for (index, frame) in frames.into_iter().enumerate() {
+        let reference = read.reference.as_ref().map(|reference| set.read_reference(index, reference)).transpose();
+        match reference {
+            Ok(reference) => {
+                let data_window = set.data_window_of(index);
+                pictures.push(ReadPicture { frame: Arc::new(frame), reference, data_window });
+            }
+            Err(error) => return Err(unusable(Some(described), error.into())),
+        }
+    }
     let original = read.is_denoised.then(|| (Box::new(set), described));
-    Ok(ReadFrame { number: read.number, frame: Arc::new(frame), reference, original, data_window })
+    Ok(ReadFrame { number: read.number, pictures, original })
 }

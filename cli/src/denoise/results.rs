@@ -9,6 +9,7 @@ use stein::gpu::AdapterSummary;
 use super::progress::Progress;
 use super::shot::{self, Reported, ShotErrors};
 use super::writer::{Denoised, Done, Writer};
+use crate::report::picture_name;
 use crate::{Failure, Out, quality};
 
 pub(super) struct Results<'a> {
@@ -71,11 +72,17 @@ impl<'a> Results<'a> {
             self.progress.say(out, format_args!("  {left_out}"));
         }
         let text = report.text(self.device, self.verbose);
-        let text = match &report.errors {
-            None => text,
-            Some(errors) if self.is_shot && !self.verbose => format!("{text}, {}", shot::brief(errors)),
-            Some(errors) => format!("{text}\n{}", quality::text(errors)),
-        };
+        let mut text = text;
+        for picture in report.pictures() {
+            let Some(errors) = &picture.errors else { continue };
+            let name = picture.layer.as_ref().map(|layer| picture_name(layer));
+            text += &match (self.is_shot && !self.verbose, name) {
+                (true, None) => format!(", {}", shot::brief(errors)),
+                (true, Some(name)) => format!(", {name}: {}", shot::brief(errors)),
+                (false, None) => format!("\n{}", quality::text(errors)),
+                (false, Some(name)) => format!("\n  {name}:\n{}", quality::text(errors)),
+            };
+        }
         self.progress.say(out, text);
         self.progress.written(out);
         self.reports.push(reported);

@@ -212,12 +212,15 @@ pub(super) struct ShotErrorSums {
     pairs: usize,
     relative_mses: [f64; 2],
     flickers: [f64; 2],
-    previous: Option<Compared>,
+    /// The frame before, for each picture.
+    previous: BTreeMap<usize, Compared>,
 }
 
 /// A frame with its reference.
 pub(super) struct Compared {
     pub(super) number: u32,
+    /// Index of the picture in its frame.
+    pub(super) picture: usize,
     pub(super) data_window: Window,
     /// The noisy image and the result.
     pub(super) images: [Image; 2],
@@ -234,13 +237,13 @@ impl ShotErrorSums {
         let is_pair = |previous: &&Compared| {
             previous.number + 1 == compared.number && previous.data_window == compared.data_window
         };
-        if let Some(previous) = self.previous.as_ref().filter(is_pair) {
+        if let Some(previous) = self.previous.get(&compared.picture).filter(is_pair) {
             self.pairs += 1;
             for (sum, (before, image)) in self.flickers.iter_mut().zip(previous.images.iter().zip(&compared.images)) {
                 *sum += metric::flicker([before, image], [&previous.reference, &compared.reference])?;
             }
         }
-        self.previous = Some(compared);
+        self.previous.insert(compared.picture, compared);
         Ok(())
     }
 

@@ -4,8 +4,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 use std::thread::{Scope, ScopedJoinHandle};
-use stein_exr::write_estimate;
+use stein_exr::write_estimates;
 
+use stein::image::Window;
 use stein::method::Intermediate;
 use stein::{Estimate, Frame, Image, Method, text};
 use stein_exr::BufferSet;
@@ -13,7 +14,7 @@ use stein_exr::BufferSet;
 use super::shot::{Beside, Compared, Reported, ShotErrorSums};
 use crate::explain::Explained;
 use crate::inspect::Input;
-use crate::report::{FrameReport, Run};
+use crate::report::{FrameReport, PictureReport, Run};
 use crate::{Failure, quality};
 
 /// A denoised frame, with all data for its output and its report.
@@ -25,11 +26,19 @@ pub(super) struct Denoised {
     pub(super) described: Box<Input>,
     /// Description of the input, which is printed before everything else.
     pub(super) introduction: Option<String>,
+    pub(super) pictures: Vec<DenoisedPicture>,
+}
+
+/// A denoised picture of a frame.
+pub(super) struct DenoisedPicture {
+    /// Layer of the colour, if the frame has several pictures.
+    pub(super) layer: Option<String>,
     pub(super) frame: Arc<Frame>,
     pub(super) reference: Option<Image>,
+    pub(super) data_window: Window,
     pub(super) estimate: Estimate,
     pub(super) run: Run,
-    /// Plan of the frame, if `--explain` asks for it.
+    /// Plan of the picture, if `--explain` asks for it.
     pub(super) plan: Option<Explained>,
 }
 
@@ -103,51 +112,57 @@ impl<'scope> Writer<'scope> {
 impl Contents<'_> {
     /// Writes a frame and compares it with its reference.
     fn finish(self, denoised: Denoised, comparison: &mut ShotErrorSums) -> Result<Done, Failure> {
-        let Denoised {
-            number,
-            beside,
-            output,
-            original,
-            described,
-            introduction,
-            frame,
-            reference,
-            mut estimate,
-            run,
-            plan,
-        } = denoised;
-        let data_window = original.data_window();
-        let left_out: Vec<_> = frame
-            .features()
-            .iter()
-            .map(|feature| feature.name.clone())
-            .filter(|name| !estimate.features.contains(name))
-            .collect();
-        // Frees the frame unless a comparison needs it: writing needs memory.
-        let frame = reference.is_some().then_some(frame);
-        estimate.selection = None;
+        let Denoised { number, beside, output, original, described, introduction, pictures } = denoised;
+        let mut notes = Vec::new();
+        let mut estimates = Vec::new();
+        let mut rest = Vec::new();
+        for picture in pictures {
+            let DenoisedPicture { layer, frame, reference, data_window, mut estimate, run, plan } = picture;
+            notes.extend(self.notes(&frame, &estimate));
+            estimate.selection = None;
+            estimates.push(estimate);
+            // Frees the frame unless a comparison needs it: writing needs memory.
+            let compared = reference.map(|reference| (reference, frame));
+            rest.push((layer, compared, data_window, run, plan));
+        }
         let mut written =
-            write_estimate(&estimate, *original, &output, self.keep, self.method).map_err(Failure::output)?;
+            write_estimates(&estimates, *original, &output, self.keep, self.method).map_err(Failure::output)?;
+        notes.dedup();
+        written.notes.extend(notes);
+        let mut reports = Vec::new();
+        for (picture, (estimate, (layer, compared, data_window, run, plan))) in
+            estimates.into_iter().zip(rest).enumerate()
+        {
+            let strips = estimate.strips;
+            let mut errors = None;
+            if let Some((reference, frame)) = compared {
+                let found = quality::compare(&frame, &estimate, &reference)?;
+                if let Some(number) = number {
+                    let images = [frame.color().mean.clone(), estimate.color];
+                    comparison.add(Compared { number, picture, data_window, images, reference }, &found)?;
+                }
+                errors = Some(found);
+            }
+            reports.push(PictureReport { layer, strips, plan, run: Some(run), errors });
+        }
+        let report = FrameReport::new(*described, reports, Some(written));
+        Ok(Done { introduction, reported: Reported { number, beside, report } })
+    }
+
+    /// Returns remarks on features and intermediates that are missing in the result.
+    fn notes(self, frame: &Frame, estimate: &Estimate) -> Vec<String> {
         let missing = self.keep.iter().filter(|one| !estimate.layers.iter().any(|layer| layer.intermediate == **one));
-        written.notes.extend(
-            missing
-                .map(|one| format!("--keep {}: there is nothing of the kind without halves or features", one.name())),
-        );
-        let not_used = |name: String| {
+        let of_kind = |one: &Intermediate| {
+            format!("--keep {}: there is nothing of the kind without halves or features", one.name())
+        };
+        let left_out =
+            frame.features().iter().map(|feature| &feature.name).filter(|name| !estimate.features.contains(name));
+        let not_used = |name: &String| {
             format!(
                 "feature {}: not used, because a frame beside lacks it or has it the same everywhere",
-                text::name(&name)
+                text::name(name)
             )
         };
-        written.notes.extend(left_out.into_iter().map(not_used));
-        let compared = reference.as_ref().zip(frame.as_deref());
-        let errors = compared.map(|(reference, frame)| quality::compare(frame, &estimate, reference)).transpose()?;
-        let strips = estimate.strips;
-        if let (Some(number), Some(reference), Some(frame), Some(errors)) = (number, reference, frame, &errors) {
-            let images = [frame.color().mean.clone(), estimate.color];
-            comparison.add(Compared { number, data_window, images, reference }, errors)?;
-        }
-        let report = FrameReport { input: *described, strips, plan, run: Some(run), output: Some(written), errors };
-        Ok(Done { introduction, reported: Reported { number, beside, report } })
+        missing.map(of_kind).chain(left_out.map(not_used)).collect()
     }
 }

@@ -3,12 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use crate::buffer_set::BufferSet;
-use crate::classify::{Classified, LayerId, Meaning, Scope, classify, is_whole_numbers};
+use crate::classify::{Classified, LayerId, Meaning, Rank, Scope, classify, is_whole_numbers};
 use crate::file::ExrFile;
 use crate::layer_ref::LayerRef;
 use crate::layers::{self, FileLayer};
 use crate::layout::{Layout, Quantity, Recognised, RoleName, Rule, Unit, native, recognise};
 use crate::names;
+use crate::picture_file::PngEncoding;
 use crate::request::BufferSetRequest;
 use crate::siblings::{self, Sibling};
 use crate::source::{self, Picture, Planes, SignalSource, VarianceSource};
@@ -20,7 +21,7 @@ use stein::image::Window;
 use stein::text;
 
 pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
-    let mut input = ExrFile::read(&request.input)?;
+    let mut input = ExrFile::read(&request.input, request.png_encoding)?;
     let recognised = match &request.layout {
         Some(name) => Recognised::requested(Layout::named(name)?, &request.input),
         None => recognise(&input, !request.no_siblings),
@@ -28,6 +29,7 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
     let joins = recognised.layout.joins.iter().filter(|join| join.file.is_none());
     joins.for_each(|join| layers::join(&mut input.layers, join));
     let mut files = Files::new(input, &recognised);
+    files.png_encoding = request.png_encoding;
     let Siblings { files: siblings, seeds } = files.open_siblings(request, &recognised);
     let request = &BufferSetRequest { seeds: [request.seeds.clone(), seeds].concat(), ..request.clone() };
     let mut left_out = Vec::new();
@@ -53,6 +55,7 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
         siblings,
         seeds: Vec::new(),
         stale: Vec::new(),
+        png_encoding: request.png_encoding,
         layer_uses: Vec::new(),
     };
     if !request.seeds.is_empty() {
@@ -101,6 +104,8 @@ struct Files {
     classified: Vec<Classified>,
     /// Rules of the layout, and behind them those of the native layout, which knows the usual names.
     rules: Vec<Rule>,
+    /// Meaning of the values in PNG files.
+    png_encoding: PngEncoding,
     /// Remarks on files.
     notes: Vec<String>,
     /// Remarks on layers that are not used.
@@ -132,6 +137,7 @@ impl Files {
             list: vec![input],
             classified,
             rules,
+            png_encoding: PngEncoding::Srgb,
             notes: Vec::new(),
             layer_notes: Vec::new(),
             own_files: vec![0],
@@ -143,7 +149,7 @@ impl Files {
         match self.list.iter().position(|file| file.path == path) {
             Some(index) => Ok(index),
             None => {
-                self.add(ExrFile::read(path)?, false);
+                self.add(ExrFile::read(path, self.png_encoding)?, false);
                 Ok(self.list.len() - 1)
             }
         }
@@ -171,7 +177,7 @@ impl Files {
     }
 
     fn rule(&self, id: LayerId) -> Option<&Rule> {
-        self.meaning(id).map(|meaning| &self.rules[meaning.rank.0])
+        self.meaning(id).map(|meaning| &self.rules[meaning.rank.rule])
     }
 
     /// Opens the files beside the input that belong to it. A file that cannot be read is left out and named.
@@ -202,7 +208,7 @@ impl Files {
         let index = match self.list.iter().position(|file| file.path == sibling.path) {
             Some(index) => index,
             None => {
-                let mut file = ExrFile::read(&sibling.path)?;
+                let mut file = ExrFile::read(&sibling.path, self.png_encoding)?;
                 for join in &recognised.layout.joins {
                     let is_here = |stem: &String| siblings::is(stem, input, recognised.stem.as_deref(), &sibling.path);
                     if join.file.as_ref().is_none_or(is_here) {
@@ -243,7 +249,7 @@ impl Files {
             (0..file.layers.len()).filter(is_named).collect()
         };
         for layer in layers {
-            let meaning = Meaning::new((sibling.rule, 0), &rule, String::new(), of);
+            let meaning = Meaning::new(Rank { rule: sibling.rule, ..Rank::default() }, &rule, String::new(), of);
             self.classified[index].meanings[layer].get_or_insert(meaning);
         }
         Ok(())
@@ -282,16 +288,17 @@ impl Files {
     }
 
     /// Returns the best colour of each picture, with its rank: of each part, view layer and view.
-    fn best_colors(&self) -> Vec<((usize, usize), LayerId)> {
+    fn best_colors(&self) -> Vec<(Rank, LayerId)> {
         let is_color = |id: &LayerId| {
             self.meaning(*id).is_some_and(|meaning| meaning.is_mean_of(|role| role == RoleName::Color))
                 && self.channels_of_color(*id).is_ok()
         };
         let all: Vec<LayerId> = self.ids().filter(|id| id.file == 0).filter(is_color).collect();
-        let is_second_choice = |id: &LayerId| self.rule(*id).is_some_and(|rule| rule.is_fallback || rule.is_copy);
+        let is_second_choice =
+            |id: &LayerId| self.rule(*id).is_some_and(|rule| rule.is_fallback || rule.is_copy);
         let first_choice: Vec<LayerId> = all.iter().copied().filter(|id| !is_second_choice(id)).collect();
         let candidates = if first_choice.is_empty() { all } else { first_choice };
-        let mut best: Vec<((usize, usize), LayerId)> = Vec::new();
+        let mut best: Vec<(Rank, LayerId)> = Vec::new();
         for id in candidates {
             let Some(rank) = self.meaning(id).map(|meaning| meaning.rank) else { continue };
             match best.iter_mut().find(|(_, other)| self.scope(*other) == self.scope(id)) {
@@ -377,7 +384,8 @@ impl Files {
         };
         let mean = Planes { file: 0, layer: color.layer, channels: color.channels.clone() };
         let unit = self.rule(id).and_then(|rule| rule.unit);
-        let source = SignalSource { mean, half_a: None, half_b: None, variance: None, miss: None, outside: 0.0, unit };
+        let source =
+            SignalSource { mean, half_a: None, half_b: None, variance: None, miss: None, outside: 0.0, unit };
         Picture {
             scope,
             is_only: count == 1,
@@ -547,7 +555,13 @@ impl Files {
         picture: &Picture,
         left_out: &mut Vec<LeftOut>,
     ) -> Result<SignalSource> {
-        let index = self.open(&reference.file)?;
+        // Directions and distances are no light, so that no curve applies to them.
+        let is_light = matches!(FeatureKind::from_name(name), FeatureKind::Albedo | FeatureKind::Other);
+        let encoding = std::mem::replace(&mut self.png_encoding, PngEncoding::Linear);
+        self.png_encoding = if is_light { encoding } else { PngEncoding::Linear };
+        let index = self.open(&reference.file);
+        self.png_encoding = encoding;
+        let index = index?;
         let file = &self.list[index];
         let (layer, is_main) = match &reference.layer {
             Some(layer) => (named_layer(file, layer)?, false),
@@ -610,15 +624,17 @@ impl Files {
 
     /// Adds the picture's own features: one for each role, and layers that come with halves or a variance. Each name to
     /// skip must match one of them: its whole name, the part behind one of its dots, or the name of its role.
-    fn find_features(&mut self, picture: &mut Picture, request: &BufferSetRequest, left_out: &mut Vec<LeftOut>) {
+    fn find_features(
+        &mut self,
+        picture: &mut Picture,
+        request: &BufferSetRequest,
+        left_out: &mut Vec<LeftOut>,
+    ) {
         let window = self.window(&picture.color.mean);
         let of_color: Vec<LayerId> =
             picture.color.planes().map(|planes| LayerId { file: planes.file, layer: planes.layer }).collect();
-        let mut candidates: Vec<FeatureCandidate> = self
-            .ids()
-            .filter(|id| !of_color.contains(id))
-            .filter_map(|id| self.feature_candidate(id, picture))
-            .collect();
+        let mut candidates: Vec<FeatureCandidate> =
+            self.ids().filter(|id| !of_color.contains(id)).filter_map(|id| self.feature_candidate(id, picture)).collect();
         let is_named = |skip: &str, candidate: &FeatureCandidate| {
             ends_with(&self.layer(candidate.id).name, skip) || candidate.name == skip
         };
@@ -640,10 +656,7 @@ impl Files {
                 .filter(|other| other.name == candidate.name && other.rank < candidate.rank)
                 .min_by_key(|other| other.rank);
             if let Some(better) = better {
-                note(
-                    candidate.id,
-                    format!("'{}' is the better {}", text::name(&self.layer(better.id).name), better.name),
-                );
+                note(candidate.id, format!("'{}' is the better {}", text::name(&self.layer(better.id).name), better.name));
                 continue;
             }
             let FeatureCandidate { id, name, .. } = candidate;
@@ -651,8 +664,7 @@ impl Files {
                 note(*id, "whole numbers are not a feature".into());
                 continue;
             }
-            let mean = match self.feature_planes(*id).and_then(|mean| self.check_overlap(&mean, window).map(|()| mean))
-            {
+            let mean = match self.feature_planes(*id).and_then(|mean| self.check_overlap(&mean, window).map(|()| mean)) {
                 Ok(mean) => mean,
                 Err(trouble) => {
                     left_out.push(trouble);
@@ -692,7 +704,7 @@ impl Files {
         let (role, rank) = match self.meaning(id) {
             Some(meaning) if meaning.is_mean_of(RoleName::is_feature) => (meaning.role?, meaning.rank),
             Some(_) => return None,
-            None if self.has_companions(id) => (RoleName::Feature, (usize::MAX, 0)),
+            None if self.has_companions(id) => (RoleName::Feature, Rank { rule: usize::MAX, ..Rank::default() }),
             None => return None,
         };
         let key = &self.layer(id).key;
@@ -797,7 +809,7 @@ struct FeatureCandidate {
     id: LayerId,
     name: String,
     /// Smaller ranks are preferred among layers of the same name.
-    rank: (usize, usize),
+    rank: Rank,
     /// Whether the feature is named by its role, not by its layer.
     has_role_name: bool,
 }

@@ -12,7 +12,9 @@ use crate::assign;
 use crate::file::ExrFile;
 use crate::layer_ref::{LayerRef, LayerUse};
 use crate::layout::LayoutUse;
+use crate::picture_file::PngEncoding;
 use crate::request::BufferSetRequest;
+use crate::write::Windows;
 use crate::source::{self, Picture, Planes, SignalSource, VarianceSource};
 
 /// Bytes per pixel for making a signal of a frame, besides its planes: marks of pixels to repair, of misses, and of
@@ -37,6 +39,8 @@ pub struct BufferSet {
     pub(crate) seeds: Vec<PathBuf>,
     /// Layers of the input that an output leaves out, because they belong to one seed alone.
     pub(crate) stale: Vec<usize>,
+    /// Meaning of the values in PNG files.
+    pub(crate) png_encoding: PngEncoding,
     pub(crate) layer_uses: Vec<LayerUse>,
 }
 
@@ -106,6 +110,11 @@ impl BufferSet {
         self.files[0].display_window()
     }
 
+    /// Returns both windows of the first picture.
+    pub fn windows(&self) -> Windows {
+        Windows { data: self.data_window(), display: self.display_window() }
+    }
+
     /// Returns the noisy colour: always three planes, equal ones for a luminance-only image.
     pub fn color(&self) -> RawSignal {
         self.raw(0, &self.pictures[0].color)
@@ -144,6 +153,13 @@ impl BufferSet {
     /// Returns every layer of every file, and its use.
     pub fn layer_uses(&self) -> &[LayerUse] {
         &self.layer_uses
+    }
+
+    /// Returns the alpha of the first picture, if its layer has one.
+    pub(crate) fn alpha(&self) -> Option<Image> {
+        let layer = &self.files[0].layers[self.pictures[0].color.mean.layer];
+        let alpha = layer.channel("A").filter(|_| layer.channels.len() > 1)?;
+        Some(self.files[0].planes(layer.part, &[alpha]))
     }
 
     /// Returns the uses of the layers in the input itself.
@@ -202,7 +218,7 @@ impl BufferSet {
     pub fn read_reference(&self, picture: usize, reference: &LayerRef) -> Result<Image> {
         let window = self.data_window_of(picture);
         let like = &self.files[0].layers[self.pictures[picture].color.mean.layer].name;
-        let file = ExrFile::read(&reference.file)?;
+        let file = ExrFile::read(&reference.file, self.png_encoding)?;
         let same = file.layers.iter().position(|layer| !like.is_empty() && layer.name == *like);
         let layer = match (same, &reference.layer) {
             (Some(same), None) => same,
@@ -297,8 +313,7 @@ impl BufferSet {
         let while_color = (4 * (kept(color) + let_go(color))).saturating_sub(stored);
         let all_features = features.iter().map(|(_, source)| kept(source)).sum::<u64>();
         let one_feature = features.iter().map(|(_, source)| let_go(source)).max().unwrap_or(0);
-        let with_features =
-            (4 * (kept(color) + all_features + one_feature + count(samples_layer))).saturating_sub(stored);
+        let with_features = (4 * (kept(color) + all_features + one_feature + count(samples_layer))).saturating_sub(stored);
         // Adds the marks for the repair of pixels.
         let needed = pixels * (while_color.max(with_features) + STATE_BYTES);
         FreeMemory::now().check(needed).map_err(|shortage| self.no_memory(shortage))
@@ -357,12 +372,13 @@ impl BufferSet {
     }
 }
 
-/// Reads the colour of a reference image: three planes, R, G, B (equal ones for a luminance-only image).
+/// Reads the colour of a reference image: three planes, R, G, B (equal ones for a luminance-only image). The values of a
+/// PNG file follow the curve of sRGB.
 ///
 /// # Errors
 /// As [`BufferSet::read`] for a file or layer that cannot be read.
 pub fn read_reference(path: &Path, layer: Option<&str>) -> Result<Image> {
-    let file = ExrFile::read(path)?;
+    let file = ExrFile::read(path, PngEncoding::Srgb)?;
     let found = assign::color_layer_of(&file, layer)?;
     let channels = assign::color_channels(&file, found)?;
     Ok(file.planes(file.layers[found].part, &channels))

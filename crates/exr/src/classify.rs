@@ -14,11 +14,21 @@ pub(crate) struct LayerId {
     pub(crate) layer: usize,
 }
 
+/// How well a rule fits: smaller ranks are preferred.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Rank {
+    /// Whether the pattern fits any name.
+    pub(crate) is_any: bool,
+    /// Position of the rule.
+    pub(crate) rule: usize,
+    /// Position of the pattern in the rule.
+    pub(crate) pattern: usize,
+}
+
 /// The meaning of a layer.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Meaning {
-    /// Positions of the rule and of its pattern: smaller ones are preferred.
-    pub(crate) rank: (usize, usize),
+    pub(crate) rank: Rank,
     /// The prefix that the layer shares with other layers of the same picture.
     pub(crate) group: String,
     /// The layer that this one describes.
@@ -28,7 +38,7 @@ pub(crate) struct Meaning {
 }
 
 impl Meaning {
-    pub(crate) fn new(rank: (usize, usize), rule: &Rule, group: String, of: Option<LayerId>) -> Self {
+    pub(crate) fn new(rank: Rank, rule: &Rule, group: String, of: Option<LayerId>) -> Self {
         Self { rank, group, of, role: rule.role, quantity: rule.quantity }
     }
 
@@ -79,10 +89,29 @@ fn meaning(
     key: &str,
     orphan: &mut Option<String>,
 ) -> Option<Meaning> {
+    // A layout may give a meaning to any other layer, but a name that says more comes first, also if only the usual names
+    // have it.
+    let find = |is_any: bool, orphan: &mut Option<String>| {
+        fitting(rules, (file, index), input, layer, key, is_any, orphan)
+    };
+    find(false, orphan).or_else(|| find(true, orphan))
+}
+
+#[expect(clippy::too_many_arguments, reason = "a helper of `meaning`")]
+fn fitting(
+    rules: &[Rule],
+    (file, index): (&ExrFile, usize),
+    input: Option<&ExrFile>,
+    layer: usize,
+    key: &str,
+    is_any: bool,
+    orphan: &mut Option<String>,
+) -> Option<Meaning> {
     let own = &file.layers[layer];
     let named = rules.iter().enumerate().filter(|(_, rule)| rule.files.is_empty() && rule.fits_channels(own));
     for (position, rule) in named {
-        for (pattern, fit) in rule.names.iter().enumerate().filter_map(|(index, name)| Some((index, name.fit(key)?))) {
+        let names = rule.names.iter().enumerate().filter(|(_, name)| name.is_any() == is_any);
+        for (pattern, fit) in names.filter_map(|(index, name)| Some((index, name.fit(key)?))) {
             let of = match fit.of {
                 None => None,
                 Some(of) => match described(file, own, &of)
@@ -97,7 +126,7 @@ fn meaning(
                     }
                 },
             };
-            return Some(Meaning::new((position, pattern), rule, fit.group, of));
+            return Some(Meaning::new(Rank { is_any, rule: position, pattern }, rule, fit.group, of));
         }
     }
     None

@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use crate::picture_file::{self, Format};
 use crate::write::write_pictures;
 use crate::{BufferSet, DenoisedLayers, LayerUse, NamedLayer, Role};
-use stein::error::FileCause;
+use stein::error::{FileCause, RequestCause};
 use stein::host_memory::FreeMemory;
 use stein::method::{Intermediate, Method};
 use stein::{Error, Estimate, Image, Result, text};
@@ -40,6 +41,8 @@ pub struct Written {
 /// [`Estimate::layers`] of the intermediates in `keep` as `stein.*`. `set` is the set that the frame was made of, and
 /// is used up; `method` is noted in the header.
 ///
+/// An output whose name ends in `.pfm` or `.png` holds the colour and its alpha alone.
+///
 /// The file appears under its name only when it is complete; an existing file is replaced, even if it is the input.
 ///
 /// # Errors
@@ -67,6 +70,9 @@ pub fn write_estimates(
     keep: &[Intermediate],
     method: &Method,
 ) -> Result<Written> {
+    if let Some(format) = Format::from_extension(output).filter(|format| *format != Format::OpenExr) {
+        return write_picture(estimates, &set, output, keep, format);
+    }
     FreeMemory::now()
         .check(estimates.iter().map(|estimate| bytes_for_writing(estimate, keep)).sum())
         .map_err(|shortage| shortage.error("writing the output"))?;
@@ -137,6 +143,47 @@ pub fn write_estimates(
         written.dropped_layers.extend(dropped);
     }
     Ok(written)
+}
+
+/// Writes the colour of the first picture, with its alpha, as a file that holds nothing else.
+fn write_picture(
+    estimates: &[Estimate],
+    set: &BufferSet,
+    output: &Path,
+    keep: &[Intermediate],
+    format: Format,
+) -> Result<Written> {
+    let mut notes = Vec::new();
+    if estimates.len() > 1 || set.pictures().len() > 1 {
+        notes.push("the file holds the first picture alone".into());
+    }
+    if !keep.is_empty() {
+        notes.push("the file holds the colour alone: OpenEXR holds intermediates, too".into());
+    }
+    let Some(first) = estimates.first() else {
+        return Err(Error::Request(RequestCause::Misuse {
+            problem: "no estimate is to be written".into(),
+            change: "give one for each picture",
+        }));
+    };
+    let mut image = first.color.clone();
+    image.planes.extend(set.alpha().into_iter().flat_map(|alpha| alpha.planes));
+    let counts = picture_file::write(output, &image, format, set.png_encoding)?;
+    if counts.clamped_values > 0 {
+        notes.push(format!("{} values are outside of 0 to 1 and were written as 0 or 1", counts.clamped_values));
+    }
+    if counts.non_finite_values > 0 {
+        notes.push(format!("{} values were not finite and were written as 0", counts.non_finite_values));
+    }
+    Ok(Written {
+        file: output.to_owned(),
+        added_layers: Vec::new(),
+        replaced_layers: Vec::new(),
+        dropped_layers: Vec::new(),
+        clamped_values: counts.clamped_values,
+        non_finite_values: counts.non_finite_values,
+        notes,
+    })
 }
 
 /// Layers of the output that belong to one picture.

@@ -33,8 +33,9 @@ pub(crate) struct ExrFile {
 impl ExrFile {
     /// Reads everything in the file. Never panics, whatever the bytes are, and takes no more memory than the bytes can
     /// be decoded to.
-    pub(crate) fn read(path: &Path) -> Result<Self> {
-        let (mut image, format) = read(path).map_err(|Trouble(cause)| Error::File { path: path.to_owned(), cause })?;
+    pub(crate) fn read(path: &Path, encoding: PngEncoding) -> Result<Self> {
+        let (mut image, format) =
+            read(path, encoding).map_err(|Trouble(cause)| Error::File { path: path.to_owned(), cause })?;
         image.layer_data.iter_mut().for_each(mend_overshoots);
         Ok(Self::of_image(path.to_owned(), image, format == Format::OpenExr))
     }
@@ -155,7 +156,8 @@ impl ExrFile {
     /// As [`ExrFile::read`], and if the file has changed since.
     pub(crate) fn restore(&mut self, part: usize, channels: &[usize]) -> Result<()> {
         let changed = || Error::File { path: self.path.clone(), cause: FileCause::Changed };
-        let mut again = Self::read(&self.path)?;
+        // Halves beside the colour are in OpenEXR files alone.
+        let mut again = Self::read(&self.path, PngEncoding::Srgb)?;
         for &channel in channels {
             let layer = &self.image.layer_data[part];
             let found = again.image.layer_data.get_mut(part).filter(|found| found.size == layer.size);
@@ -207,15 +209,13 @@ impl ExrFile {
             AttributeValue::F64(value) => value.to_string(),
             _ => String::new(),
         };
-        let mut all: Vec<(String, String)> =
-            others.flatten().map(|(name, value)| (names::decoded(name.as_slice()), text(value))).collect();
+        let mut all: Vec<(String, String)> = others
+            .flatten()
+            .map(|(name, value)| (names::decoded(name.as_slice()), text(value)))
+            .collect();
         // The decoder has fields for these.
         for attributes in parts {
-            let known = [
-                ("Software", &attributes.software_name),
-                ("owner", &attributes.owner),
-                ("comments", &attributes.comments),
-            ];
+            let known = [("Software", &attributes.software_name), ("owner", &attributes.owner), ("comments", &attributes.comments)];
             for (name, value) in known {
                 all.extend(value.iter().map(|value| (name.to_owned(), names::decoded(value.as_slice()))));
             }
@@ -265,7 +265,7 @@ impl ExrFile {
     }
 }
 
-fn read(path: &Path) -> std::result::Result<(FlatImage, Format), Trouble> {
+fn read(path: &Path, encoding: PngEncoding) -> std::result::Result<(FlatImage, Format), Trouble> {
     // Checks the kind before the file is opened: opening a pipe would block.
     let kind = path.metadata()?;
     if kind.is_dir() {
@@ -278,7 +278,7 @@ fn read(path: &Path) -> std::result::Result<(FlatImage, Format), Trouble> {
     let bytes = file.metadata()?.len();
     let mut file = BufReader::new(file);
     let format = Format::from_content(file.fill_buf()?);
-    Ok((picture_file::decode(&mut file, bytes, format, PngEncoding::Srgb)?, format))
+    Ok((picture_file::decode(&mut file, bytes, format, encoding)?, format))
 }
 
 /// Whether a channel is stored as waves, with a loss: under DWA, by its name. All other channels are stored without a

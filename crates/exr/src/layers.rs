@@ -146,8 +146,7 @@ pub(crate) fn join(layers: &mut Vec<FileLayer>, join: &Join) {
 /// Marks parts that have layers of the same name, and gives each of these layers a name of its own.
 fn tell_parts_apart(image: &FlatImage, layers: &mut [FileLayer]) {
     let has_double = |layer: &FileLayer| {
-        let is_double =
-            |other: &FileLayer| other.part != layer.part && other.key == layer.key && other.view == layer.view;
+        let is_double = |other: &FileLayer| other.part != layer.part && other.key == layer.key && other.view == layer.view;
         layers.iter().any(is_double)
     };
     let mut parts: Vec<usize> = layers.iter().filter(|layer| has_double(layer)).map(|layer| layer.part).collect();

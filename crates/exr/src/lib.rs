@@ -44,4 +44,6 @@ pub use layout::{Layout, LayoutUse, Quantity, RoleName, Unit};
 pub use map_file::MapFile;
 pub use request::BufferSetRequest;
 pub use samples::write_samples;
-pub use write::{DenoisedLayers, NamedLayer, WriteReport, write_denoised, write_layers};
+pub use write::{
+    DenoisedLayers, NamedLayer, Windows, WriteReport, write_denoised, write_layers, write_layers_in,
+};

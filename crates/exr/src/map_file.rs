@@ -7,8 +7,9 @@ use stein::sampling::{SampleCounts, SamplingMap};
 use stein::{Error, Image, Result};
 
 use crate::file::ExrFile;
+use crate::picture_file::PngEncoding;
 use crate::samples::layer;
-use crate::write_layers;
+use crate::{Windows, write_layers_in};
 
 /// A sampling map as a file stores it: layer `density.V`, real samples per pixel; `samples.V`, whole and even
 /// numbers of samples to draw; and `drawn.V`, how many samples of the pixel were drawn before, so that a renderer can
@@ -19,6 +20,8 @@ pub struct MapFile {
     pub map: SamplingMap,
     /// Samples that were drawn before; `None` if unknown.
     pub drawn: Option<SampleCounts>,
+    /// Windows of the picture that the map belongs to; `None` if both begin at (0, 0).
+    pub windows: Option<Windows>,
 }
 
 impl MapFile {
@@ -26,7 +29,7 @@ impl MapFile {
     /// file is replaced.
     ///
     /// # Errors
-    /// As [`write_layers`].
+    /// As [`write_layers`](crate::write_layers).
     pub fn write(&self, path: &Path, attributes: &[(String, String)]) -> Result<()> {
         let whole = |counts: &SampleCounts| Image {
             extent: counts.extent(),
@@ -35,7 +38,7 @@ impl MapFile {
         let mut layers =
             vec![layer("density", &["V"], self.map.density.clone()), layer("samples", &["V"], whole(&self.map.counts))];
         layers.extend(self.drawn.as_ref().map(|drawn| layer("drawn", &["V"], whole(drawn))));
-        write_layers(path, &layers, attributes)
+        write_layers_in(self.windows, path, &layers, attributes)
     }
 
     /// Reads a map. In a file without `density`, `samples` is taken for the density.
@@ -44,7 +47,7 @@ impl MapFile {
     /// [`Error::File`] for a file that cannot be read or has no layer `samples`; [`Error::Layer`] for numbers that are
     /// not whole and even.
     pub fn read(path: &Path) -> Result<Self> {
-        let file = ExrFile::read(path)?;
+        let file = ExrFile::read(path, PngEncoding::Linear)?;
         let find = |name: &str| {
             let found = file.layers.iter().find(|layer| layer.name == name)?;
             let channel = found.channels.first()?;
@@ -68,6 +71,8 @@ impl MapFile {
         };
         let drawn = find("drawn").map(|drawn| counts("drawn", &drawn)).transpose()?;
         let density = find("density").unwrap_or_else(|| samples.clone());
-        Ok(Self { map: SamplingMap { density, counts: counts("samples", &samples)? }, drawn })
+        let part = file.layers.iter().find(|layer| layer.name == "samples").map_or(0, |layer| layer.part);
+        let windows = Some(Windows { data: file.data_window(part), display: file.display_window() });
+        Ok(Self { map: SamplingMap { density, counts: counts("samples", &samples)? }, drawn, windows })
     }
 }

@@ -25,7 +25,7 @@ pub fn gpu_options() -> GpuOptions {
 pub fn remedy(remedy: &Remedy) -> String {
     match remedy {
         Remedy::GiveHalves => {
-            "render twice with different seeds and give both as halves (--half-a, --half-b), their average as the input"
+            "render twice with different seeds and give both files (`stein denoise seed1.exr seed2.exr`, or --seed)"
                 .into()
         }
         Remedy::GiveVariance => {

@@ -15,6 +15,8 @@ use exr::prelude::{
     Vec2,
 };
 
+use serde::{Deserialize, Serialize};
+
 use crate::header::{MOST_PIXELS_PER_SIDE, Trouble};
 use crate::{atomic_file, samples, write_layers};
 use stein::error::{Error, FileCause, RequestCause, Result};
@@ -37,7 +39,9 @@ pub enum Format {
 ///
 /// The caller chooses it. What a file says about its colours (chunks `gAMA`, `cHRM`, `sRGB`, `iCCP` and `cICP`) is
 /// ignored.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "programs", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
 pub enum PngEncoding {
     /// The curve of sRGB (IEC 61966-2-1): pictures for displays.
     #[default]

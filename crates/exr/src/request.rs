@@ -7,6 +7,7 @@ use clap::builder::{OsStringValueParser, TypedValueParser};
 use serde::{Deserialize, Serialize};
 
 use crate::layer_ref::LayerRef;
+use crate::picture_file::PngEncoding;
 #[cfg(feature = "programs")]
 use crate::layer_ref::feature;
 
@@ -94,6 +95,9 @@ pub struct BufferSetRequest {
     /// Layout of the input: a name that `stein layouts` lists, or a TOML file [default: as the file shows]
     #[cfg_attr(feature = "programs", arg(long, value_name = "NAME|FILE"))]
     pub layout: Option<String>,
+    /// Meaning of the values in PNG files that are read and written
+    #[cfg_attr(feature = "programs", arg(long, value_enum, value_name = "CURVE", default_value_t = PngEncoding::Srgb))]
+    pub png_encoding: PngEncoding,
     /// Use no files beside the input but those that are named.
     #[cfg_attr(
         feature = "programs",

@@ -33,7 +33,7 @@ pub(crate) fn merge(
 ) -> Result<Vec<Note>> {
     let mut seeds = Vec::new();
     for path in &request.seeds {
-        let file = ExrFile::read(path)?;
+        let file = ExrFile::read(path, request.png_encoding)?;
         check_is_seed(set, &file)?;
         seeds.push(file);
     }
@@ -45,9 +45,10 @@ pub(crate) fn merge(
         .iter()
         .map(|picture| Weights::of(picture, &set.files[0], &seeds, layout, request))
         .collect::<Result<_>>()?;
-    halves[1].path = seeds
-        .get(of_pictures[0].first_of_b().saturating_sub(1))
-        .map_or_else(|| halves[1].path.clone(), |seed| seed.path.clone());
+    halves[1].path = seeds.get(of_pictures[0].first_of_b().saturating_sub(1)).map_or_else(
+        || halves[1].path.clone(),
+        |seed| seed.path.clone(),
+    );
     // The halves are made of the seeds as they are, so they come before the means.
     let half_files = [set.files.len(), set.files.len() + 1];
     for (index, weights) in of_pictures.iter().enumerate() {
@@ -112,9 +113,8 @@ fn check_is_seed(set: &BufferSet, seed: &ExrFile) -> Result<()> {
             return Err(Error::Layer { path: seed.path.clone(), layer: layer.name.clone(), cause });
         }
         let same = input.planes(layer.part, &planes.channels) == seed.planes(found.0, &found.1);
-        let pixels = own.extent.pixels();
-        // A few pixels may well be equal by accident.
-        if same && pixels > 16 && !is_constant(input, layer.part, &planes.channels) {
+        // Pictures without any noise are the same for all seeds.
+        if same && !is_constant(input, layer.part, &planes.channels) {
             return not_a_seed("it holds the same pixels, so that nothing is known of their noise".into());
         }
     }
@@ -385,8 +385,9 @@ fn averaged(file: &ExrFile, classified: &Classified, layer: usize, is_used: bool
     };
     // A colour that no rule names, or a feature that no rule names but comes with a variance.
     let Some(meaning) = meaning else { return Some(Quantity::Mean).filter(|_| is_used) };
-    let is_of_samples = role_of(meaning)
-        .is_none_or(|role| matches!(role, RoleName::Color | RoleName::Alpha | RoleName::Light) || role.is_feature());
+    let is_of_samples = role_of(meaning).is_none_or(|role| {
+        matches!(role, RoleName::Color | RoleName::Alpha | RoleName::Light) || role.is_feature()
+    });
     match meaning.quantity {
         Quantity::Mean if is_of_samples && meaning.role != Some(RoleName::Denoised) => Some(Quantity::Mean),
         quantity if quantity.is_variance() && is_of_samples => Some(quantity),

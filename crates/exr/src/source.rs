@@ -145,9 +145,9 @@ pub(crate) fn settled_from<E>(
         fill_unknown_variance(variance, &signal.mean, |value| value == UNKNOWN);
     }
     if let Some(miss) = source.miss {
-        let images = [Some(&mut signal.mean), signal.half_a.as_mut(), signal.half_b.as_mut()];
-        let planes = images.into_iter().flatten().flat_map(|image| &mut image.planes);
-        planes.flatten().filter(|value| **value == miss).for_each(|value| *value = f32::INFINITY);
+        // Where one half alone missed, the mean is a distance, if an uncertain one.
+        let means = signal.mean.planes.iter_mut().flatten();
+        means.filter(|value| **value == miss).for_each(|value| *value = f32::INFINITY);
     }
     Ok(signal)
 }

@@ -85,7 +85,7 @@ pub(crate) fn layer_uses(set: &BufferSet, classified: &[Classified], rules: &[Ru
                 continue;
             };
             let meaning = own.meanings[layer_index].as_ref();
-            let rule = meaning.map(|meaning| &rules[meaning.rank.0]);
+            let rule = meaning.map(|meaning| &rules[meaning.rank.rule]);
             let noted = notes.iter().find(|note| note.id == id).map(|note| note.text.clone());
             let mut found = layer_use(file, layer, used, noted);
             if used.is_none() {

@@ -14,7 +14,7 @@ use crate::file::{ExrFile, is_lossy};
 use crate::header::settle;
 use crate::names::{LONGEST_NAME, encoded};
 use stein::error::{Error, FileCause, LayerCause, RequestCause, Result};
-use stein::image::{Extent, Image};
+use stein::image::{Extent, Image, Window};
 use stein::text;
 
 /// A layer to add to an output.
@@ -104,7 +104,11 @@ pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'
 ///
 /// # Errors
 /// As [`write_denoised`].
-pub(crate) fn write_pictures(set: BufferSet, output: &Path, denoised: &[DenoisedLayers<'_>]) -> Result<WriteReport> {
+pub(crate) fn write_pictures(
+    set: BufferSet,
+    output: &Path,
+    denoised: &[DenoisedLayers<'_>],
+) -> Result<WriteReport> {
     let places: Vec<(usize, Extent)> =
         (0..set.pictures.len()).map(|index| (set.color_part(index), set.data_window_of(index).extent)).collect();
     let BufferSet { files, pictures, .. } = set;
@@ -247,7 +251,9 @@ impl Writer<'_> {
         match self.stored_types[part][channel] {
             SampleType::F16 => FlatSamples::F16(plane.iter().map(|&value| self.half(value)).collect()),
             SampleType::F32 => FlatSamples::F32(plane.iter().map(|&value| self.finite(value)).collect()),
-            SampleType::U32 => FlatSamples::U32(plane.iter().map(|&value| self.finite(value).round() as u32).collect()),
+            SampleType::U32 => {
+                FlatSamples::U32(plane.iter().map(|&value| self.finite(value).round() as u32).collect())
+            }
         }
     }
 
@@ -265,7 +271,12 @@ impl Writer<'_> {
         }
     }
 
-    fn add(&mut self, layer: &mut Layer<AnyChannels<FlatSamples>>, extent: Extent, extra: &NamedLayer) -> Result<()> {
+    fn add(
+        &mut self,
+        layer: &mut Layer<AnyChannels<FlatSamples>>,
+        extent: Extent,
+        extra: &NamedLayer,
+    ) -> Result<()> {
         self.check(&extra.image, extra.channels.len(), extent, &extra.name)?;
         let list = &mut layer.channel_data.list;
         let names: Vec<String> = extra.channels.iter().map(|suffix| full_name(extra, suffix)).collect();
@@ -308,6 +319,13 @@ impl Writer<'_> {
         if value > 0.0 { f16::MAX } else { f16::MIN }
     }
 
+    /// Adds a remark, unless another part has led to it already.
+    fn note(&mut self, note: String) {
+        if !self.report.notes.contains(&note) {
+            self.report.notes.push(note);
+        }
+    }
+
     /// Leaves out time codes that the encoder refuses, such as those of more than 30 frames in a second.
     fn settle_attributes(&mut self, time_code: &mut Option<TimeCode>, others: &mut HashMap<Text, AttributeValue>) {
         let is_writable = |code: &TimeCode| code.pack_time_as_tv60_u32().is_ok();
@@ -337,21 +355,17 @@ impl Writer<'_> {
             _ => true,
         };
         if !writable {
-            self.report.notes.push(format!("{} cannot be written: ZIP is used instead", layer.encoding.compression));
+            self.note(format!("{} cannot be written: ZIP is used instead", layer.encoding.compression));
             layer.encoding.compression = Compression::ZIP16;
         }
         if has_lossy {
             let compression = layer.encoding.compression;
-            self.report
-                .notes
-                .push(format!("{compression} would change layers that stay as they were: ZIP is used instead"));
+            self.note(format!("{compression} would change layers that stay as they were: ZIP is used instead"));
             layer.encoding.compression = Compression::ZIP16;
         }
         if layer.channel_data.list.iter().any(|channel| may_overshoot(layer.encoding.compression, channel)) {
             let compression = layer.encoding.compression;
-            self.report
-                .notes
-                .push(format!("{compression} would make infinities of the largest values: ZIP is used instead"));
+            self.note(format!("{compression} would make infinities of the largest values: ZIP is used instead"));
             layer.encoding.compression = Compression::ZIP16;
         }
         // The input may have had its channels in any order, but the format requires them sorted.
@@ -369,6 +383,28 @@ impl Writer<'_> {
 /// [`Error::Request`] for no layers, for layers of different extents, and for names that OpenEXR cannot store;
 /// [`Error::File`] for errors of the file system.
 pub fn write_layers(output: &Path, layers: &[NamedLayer], attributes: &[(String, String)]) -> Result<()> {
+    write_layers_in(None, output, layers, attributes)
+}
+
+/// Data window and display window of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Windows {
+    /// Position of the pixels in the file's coordinates. Its extent is the layers' extent.
+    pub data: Window,
+    /// The whole picture.
+    pub display: Window,
+}
+
+/// Writes as [`write_layers`] does, with these windows; without any, both begin at (0, 0).
+///
+/// # Errors
+/// As [`write_layers`].
+pub fn write_layers_in(
+    windows: Option<Windows>,
+    output: &Path,
+    layers: &[NamedLayer],
+    attributes: &[(String, String)],
+) -> Result<()> {
     let misuse = |problem, change| Err(Error::Request(RequestCause::Misuse { problem, change }));
     let unusable = |reason| Error::Request(RequestCause::UnusableName { what: "a channel".into(), reason });
     let Some(extent) = layers.first().map(|layer| layer.image.extent) else {
@@ -397,7 +433,12 @@ pub fn write_layers(output: &Path, layers: &[NamedLayer], attributes: &[(String,
     let size = Vec2(extent.width as usize, extent.height as usize);
     let mut part = Layer::new(size, LayerAttributes::default(), Encoding::SMALL_LOSSLESS, AnyChannels::sort(channels));
     add_attributes(&mut part.attributes, attributes)?;
-    let bounds = IntegerBounds::new(part.attributes.layer_position, part.size);
+    let mut bounds = IntegerBounds::new(part.attributes.layer_position, part.size);
+    if let Some(Windows { data, display }) = windows {
+        part.attributes.layer_position = Vec2(data.x, data.y);
+        let size = Vec2(display.extent.width as usize, display.extent.height as usize);
+        bounds = IntegerBounds::new(Vec2(display.x, display.y), size);
+    }
     write_then_rename(&FlatImage::from_layers(ImageAttributes::new(bounds), vec![part]), output)
 }
 

@@ -57,6 +57,11 @@ impl Pattern {
         Some(Fit { group: place("group").unwrap_or_default(), of: place("of"), stem: place("stem") })
     }
 
+    /// Whether the pattern fits any name, or any name with so many dots.
+    pub(crate) fn is_any(&self) -> bool {
+        !self.text.is_empty() && self.text.chars().all(|character| matches!(character, '*' | '.'))
+    }
+
     pub(crate) fn has(&self, place: &str) -> bool {
         self.text.contains(place)
     }

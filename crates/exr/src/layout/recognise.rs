@@ -100,7 +100,9 @@ pub(crate) fn recognise(file: &ExrFile, look_beside: bool) -> Recognised {
     }
     match best {
         Some((_, layout, found)) => Recognised::new(layout.clone(), found.stem, found.by),
-        None => Recognised::new(native().clone(), None, "no sign of a renderer: by the usual names of layers".into()),
+        None => {
+            Recognised::new(native().clone(), None, "no sign of a renderer: by the usual names of layers".into())
+        }
     }
 }
 
