@@ -487,7 +487,7 @@ fn info_tells_what_denoise_would_do_with_each_file() {
         "noise     known from variance and two seeds",
         "cannot be denoised",
         "nothing is known of the colour's noise",
-        "--half-a",
+        "--seed",
     ]);
 
     let document = stein(&["info", &render, &reference, "--json"]).succeeded().json();
@@ -500,7 +500,7 @@ fn info_tells_what_denoise_would_do_with_each_file() {
         (&alone["mode"], &alone["noise_knowledge"], &alone["noise_level"]),
         (&"the image itself".into(), &"ImageOnly".into(), &Value::Null)
     );
-    assert!(alone["repairs"]["notes"].to_string().contains("--half-a"), "{alone}");
+    assert!(alone["repairs"]["notes"].to_string().contains("two renders with different seeds"), "{alone}");
     assert_eq!(
         document["files"][0]["frame"]["feature_noise"][0],
         serde_json::json!({ "name": "albedo", "noise_knowledge": "HalvesAndVariance" })

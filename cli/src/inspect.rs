@@ -75,7 +75,7 @@ pub(crate) enum Outcome {
         features: Vec<String>,
         feature_noise: Vec<FeatureNoise>,
         /// Whether the sources of the noise agree.
-        check: Check,
+        check: Box<Check>,
         repairs: Repairs,
     },
     /// The input cannot be denoised, for this reason.
@@ -195,7 +195,7 @@ impl Picture {
                 noise_level: frame.noise_level(),
                 features: frame.features().iter().map(|feature| feature.name.clone()).collect(),
                 feature_noise: feature_noise(frame),
-                check: Check::new(frame),
+                check: Box::new(Check::new(frame)),
                 repairs: repairs.clone(),
             },
             Err(error) => Outcome::Problem(Failure::input(error).message().to_owned()),
@@ -370,10 +370,8 @@ impl Input {
     fn contradictions(&self) -> impl Iterator<Item = (&str, &str)> {
         let layer = |picture| if self.further_pictures.is_empty() { "" } else { Picture::name(picture) };
         self.pictures().filter_map(move |picture| match &picture.outcome {
-            Outcome::Frame { check: Check { message: Some(message), .. }, .. } => {
-                Some((layer(picture), message.as_str()))
-            }
-            _ => None,
+            Outcome::Frame { check, .. } => Some((layer(picture), check.message.as_deref()?)),
+            Outcome::Problem(_) => None,
         })
     }
 

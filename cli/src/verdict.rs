@@ -18,8 +18,9 @@ pub(crate) struct Verdict {
     state: State,
     /// Numbers of layers of the input that an output keeps as they are.
     copied: Copied,
-    /// Command that denoises the input; `N` and other names in capitals stand for what is missing.
-    command: String,
+    /// Command that denoises the input; `N` and other names in capitals stand for what is missing. `None` if it
+    /// cannot be denoised.
+    command: Option<String>,
     /// Advice for a better result, and its command.
     better: Option<Advice>,
 }
@@ -29,6 +30,9 @@ struct Advice {
     what: &'static str,
     command: String,
 }
+
+/// A label and its value.
+type Row = (&'static str, String);
 
 /// Whether an input can be denoised.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -111,7 +115,12 @@ impl Verdict {
             _ => None,
         };
         let needed = (state == State::NeedsSamples).then_some("N");
-        Self { state, copied: Copied::of(input), command: command(&[], needed), better }
+        Self {
+            state,
+            copied: Copied::of(input),
+            command: (state != State::Problem).then(|| command(&[], needed)),
+            better,
+        }
     }
 
     /// Formats the verdict and what it follows from.
@@ -136,7 +145,7 @@ impl Verdict {
             row("files", &format!("beside it: {}", files(&input.siblings)));
         }
         // Pictures of which all but the colour is told in the same words share these.
-        let mut groups: Vec<(Vec<String>, Vec<(&str, String)>)> = Vec::new();
+        let mut groups: Vec<(Vec<String>, Vec<Row>)> = Vec::new();
         for (index, picture) in input.pictures().enumerate() {
             let (colour, rows) = (colour(input, picture), rows(input, index, picture));
             match groups.iter_mut().find(|(_, other)| *other == rows) {
@@ -152,7 +161,9 @@ impl Verdict {
         if let Some(copied) = self.copied.text() {
             row("copied", &copied);
         }
-        row("command", &self.command);
+        if let Some(command) = &self.command {
+            row("command", command);
+        }
         if let Some(Advice { what, command }) = &self.better {
             row("better", &format!("{what}, then\n{command}"));
         }
@@ -165,7 +176,7 @@ impl State {
         let of_picture = |picture: &Picture| match &picture.outcome {
             Outcome::Problem(_) if input.needs_samples => Self::NeedsSamples,
             Outcome::Problem(_) => Self::Problem,
-            Outcome::Frame { check: Check { contradiction: Some(_), .. }, .. } => Self::Contradiction,
+            Outcome::Frame { check, .. } if check.contradiction.is_some() => Self::Contradiction,
             Outcome::Frame { noise_knowledge: NoiseKnowledge::ImageOnly, .. } => Self::NoiseUnknown,
             Outcome::Frame { .. } => Self::Ready,
         };
@@ -218,7 +229,7 @@ fn colour(input: &Input, picture: &Picture) -> String {
 }
 
 /// Formats what a picture is denoised from.
-fn rows(input: &Input, index: usize, picture: &Picture) -> Vec<(&'static str, String)> {
+fn rows(input: &Input, index: usize, picture: &Picture) -> Vec<Row> {
     let Outcome::Frame { noise_knowledge, noise_level, feature_noise, check, repairs, .. } = &picture.outcome else {
         let layers = input.layers.iter().filter(|layer| layer.picture == Some(index));
         let features: Vec<_> = layers

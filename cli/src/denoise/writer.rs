@@ -152,8 +152,9 @@ impl Contents<'_> {
     /// Returns remarks on features and intermediates that are missing in the result.
     fn notes(self, frame: &Frame, estimate: &Estimate) -> Vec<String> {
         let missing = self.keep.iter().filter(|one| !estimate.layers.iter().any(|layer| layer.intermediate == **one));
-        let of_kind =
-            |one: &Intermediate| format!("--keep {}: there is nothing of the kind without halves or features", one.name());
+        let of_kind = |one: &Intermediate| {
+            format!("--keep {}: there is nothing of the kind without halves or features", one.name())
+        };
         let left_out =
             frame.features().iter().map(|feature| &feature.name).filter(|name| !estimate.features.contains(name));
         let not_used = |name: &String| {
