@@ -21,7 +21,7 @@ use crate::error::{Error, RequestCause, Result};
 use crate::image::{self, Extent, Image, Window};
 pub use image_noise::{fill_unknown_variance, variance_from_image};
 pub use kind::FeatureKind;
-pub use knowledge::NoiseKnowledge;
+pub use knowledge::{IMAGE_ONLY, NoiseKnowledge};
 pub use meaning::{Contradiction, LargeVariance, NoiseCheck};
 pub(crate) use noise::{NoiseTiles, TILE};
 use repairs::Layer;

@@ -404,7 +404,7 @@ fn wrong_arguments_are_told_with_the_right_ones() {
     stein(&["bench", &input, "--size", "big"]).failed(2, &["1024x1024"]);
     stein(&["bench", &input, "--ref", &input, "--ref", &input]).failed(2, &["2 references", "1 inputs"]);
     stein(&["denoise"]).failed(2, &["IN"]);
-    for subcommand in ["denoise", "info", "bench", "devices"] {
+    for subcommand in ["denoise", "info", "layouts", "bench", "devices"] {
         stein(&[subcommand, "--help"]).succeeded().said(&["Example"]);
     }
     stein(&["--help"]).succeeded().said(&["Exit codes", "denoise"]);
@@ -446,7 +446,7 @@ fn nlm_says_what_it_did() {
         .succeeded()
         .said(&["--keep features: there is nothing"]);
     stein(&["denoise", &input, "-o", &output, RADIUS, "--method=nlm", "--keep=all"]).succeeded();
-    let layers = stein(&["info", &output]).succeeded();
+    let layers = stein(&["info", &output, "-v"]).succeeded();
     layers.said(&["stein.half_a", "stein.half_b", "stein.density", "stein.variance_of_mean", "stein.error"]);
     let map = folder.path("map.exr");
     stein(&["sample-map", &input, "-o", &map, RADIUS, "--method=nlm", "--budget=8"])
@@ -470,7 +470,7 @@ fn an_unknown_device_is_told_with_those_that_exist() {
 #[test]
 fn info_tells_what_denoise_would_do_with_each_file() {
     let (render, reference) = (test_image("cornell_8spp.exr"), test_image("cornell_reference.exr"));
-    let both = stein(&["info", &render, &reference]).succeeded();
+    let both = stein(&["info", &render, &reference, "-v"]).succeeded();
     both.said(&[
         "data window 96×96 at (0, 0)",
         "visibility (V) float",
@@ -484,8 +484,9 @@ fn info_tells_what_denoise_would_do_with_each_file() {
     assert!(!both.stdout.contains("cannot be denoised"), "{}", both.stdout);
     let required = stein(&["info", &render, &reference, "--require-noise"]).succeeded();
     required.said(&[
-        "noise: known from variance and two seeds",
-        "cannot be denoised: nothing is known of the colour's noise",
+        "noise     known from variance and two seeds",
+        "cannot be denoised",
+        "nothing is known of the colour's noise",
         "--seed",
     ]);
 
@@ -499,29 +500,30 @@ fn info_tells_what_denoise_would_do_with_each_file() {
         (&alone["mode"], &alone["noise_knowledge"], &alone["noise_level"]),
         (&"the image itself".into(), &"ImageOnly".into(), &Value::Null)
     );
-    assert!(alone["repairs"]["notes"].to_string().contains("--half-a"), "{alone}");
+    assert!(alone["repairs"]["notes"].to_string().contains("two renders with different seeds"), "{alone}");
     assert_eq!(
         document["files"][0]["frame"]["feature_noise"][0],
         serde_json::json!({ "name": "albedo", "noise_knowledge": "HalvesAndVariance" })
     );
 
     let layer = |name: &str| format!("{render}::{name}");
-    let variance_only = stein(&["info", &reference, "--variance", &layer("variance")]).succeeded();
+    let variance_only = stein(&["info", &reference, "-v", "--variance", &layer("variance")]).succeeded();
     variance_only.said(&["noise: known from variance\n", &layer("variance")]);
     let halves_only =
-        stein(&["info", &reference, "--half-a", &layer("halfA"), "--half-b", &layer("halfB")]).succeeded();
+        stein(&["info", &reference, "-v", "--half-a", &layer("halfA"), "--half-b", &layer("halfB")]).succeeded();
     halves_only.said(&["noise: known from two seeds, pooled from the halves of similar pixels", &layer("halfB")]);
     let feature =
-        stein(&["info", &render, "--no-features", "--feature", &format!("tint={}", layer("albedo"))]).succeeded();
+        stein(&["info", &render, "-v", "--no-features", "--feature", &format!("tint={}", layer("albedo"))]).succeeded();
     feature.said(&["feature tint", "albedo_halfA, albedo_halfB"]);
     assert!(!feature.stdout.contains("feature normal"));
-    let bare = stein(&["info", &reference, "--no-features", "--feature", &format!("tint={}", layer("albedo_halfA"))])
-        .succeeded();
+    let bare =
+        stein(&["info", &reference, "-v", "--no-features", "--feature", &format!("tint={}", layer("albedo_halfA"))])
+            .succeeded();
     bare.said(&["noise of feature tint: none"]);
 
     let one_missing = stein(&["info", "missing.exr", &render]);
     one_missing.failed(3, &["missing.exr"]);
-    one_missing.said(&["noise: known from variance and two seeds"]);
+    one_missing.said(&["noise     known from variance and two seeds"]);
 }
 
 #[test]

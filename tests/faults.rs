@@ -60,13 +60,8 @@ fn every_broken_file_ends_with_code_3() {
 fn an_image_alone_is_refused_where_that_is_asked_for() {
     let (folder, output) = with_output();
     let input = test_image("cornell_reference.exr");
-    let said = [
-        &*input,
-        "nothing is known of the colour's noise",
-        "render twice with different seeds",
-        "--seed",
-        "remedy: ",
-    ];
+    let said =
+        [&*input, "nothing is known of the colour's noise", "render twice with different seeds", "--seed", "remedy: "];
     for more in [&[][..], &["--dry-run"], &["--json"]] {
         stein(&[&["denoise", &input, "-o", &output, "--require-noise"], more].concat()).failed(3, &said);
     }

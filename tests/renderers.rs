@@ -42,23 +42,22 @@ fn two_seeds_are_merged_and_tell_the_noise_of_colour_and_features() {
     let [a, b, out] = ["a.exr", "b.exr", "out.exr"].map(|name| folder.path(name));
     write_seeds("cornell_32spp.exr", &a, &b);
     let reference = test_image("cornell_reference.exr");
-    let document =
-        stein(&["denoise", &a, &b, "-o", &out, RADIUS, "--ref", &reference, "--json"]).succeeded().json();
+    let document = stein(&["denoise", &a, &b, "-o", &out, RADIUS, "--ref", &reference, "--json"]).succeeded().json();
     assert_eq!(document["input"]["frame"]["mode"], "two seeds");
     assert_eq!(document["input"]["seeds"].as_array().unwrap().len(), 1);
     assert_eq!(document["input"]["samples_per_pixel"]["uniform"], 32.0);
     let noise = document["input"]["frame"]["feature_noise"].as_array().unwrap();
     assert!(noise.iter().all(|feature| feature["noise_knowledge"] == "HalvesOnly"), "{noise:?}");
     let errors = document["errors"].as_array().unwrap();
-    let error = |name: &str| {
-        errors.iter().find(|errors| errors["image"] == name).unwrap()["relative_mse"].as_f64().unwrap()
-    };
+    let error =
+        |name: &str| errors.iter().find(|errors| errors["image"] == name).unwrap()["relative_mse"].as_f64().unwrap();
     assert!(error("result") < 0.3 * error("noisy"), "{errors:?}");
     // Light layers are the means of the seeds.
-    let plane = |path: &str, channel: &str| match channels(path).into_iter().find(|(name, _)| name == channel).unwrap().1 {
-        exr::prelude::FlatSamples::F32(values) => values,
-        _ => panic!("not 32-bit floats"),
-    };
+    let plane =
+        |path: &str, channel: &str| match channels(path).into_iter().find(|(name, _)| name == channel).unwrap().1 {
+            exr::prelude::FlatSamples::F32(values) => values,
+            _ => panic!("not 32-bit floats"),
+        };
     let means = plane(&a, "diffuse.R").into_iter().zip(plane(&b, "diffuse.R")).map(|(a, b)| (a + b) / 2.0);
     assert!(plane(&out, "diffuse.R").into_iter().zip(means).all(|(found, mean)| (found - mean).abs() <= 1e-6 * mean));
 

@@ -4,7 +4,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::failure::Failure;
 use crate::out::Out;
-use crate::{adapt, bench, denoise, devices, info, kernel, params, render, sample_map, selftest};
+use crate::{adapt, bench, denoise, devices, info, kernel, layouts, params, render, sample_map, selftest};
 
 const EXIT_CODES: &str = "\
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the \
@@ -20,6 +20,7 @@ Environment:
 [default: `stein` among the user's caches]
 
 Example:
+  stein info render.exr                    says what is in it, and how to denoise it
   stein denoise render.exr                 writes render.denoised.exr
   stein denoise --help                     explains all options";
 
@@ -38,6 +39,7 @@ pub(crate) struct Cli {
 enum Command {
     Denoise(denoise::Args),
     Info(info::Args),
+    Layouts(layouts::Args),
     Kernel(kernel::Args),
     SampleMap(sample_map::Args),
     Adapt(Box<adapt::Args>),
@@ -78,6 +80,7 @@ pub(crate) fn run(cli: &Cli, out: &mut Out) -> Result<(), Failure> {
         Some(Command::Render(args)) => render::run(args, out),
         Some(Command::Bench(args)) => bench::run(args, out),
         Some(Command::Info(args)) => info::run(args, out),
+        Some(Command::Layouts(args)) => layouts::run(args, out),
         Some(Command::Devices(args)) => devices::run(args, out),
         Some(Command::Selftest(args)) => selftest::run(args, out),
         None if cli.list_devices => devices::run(&devices::Args { json: false }, out),

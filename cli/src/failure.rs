@@ -51,6 +51,11 @@ impl Failure {
         error.in_file(path).into()
     }
 
+    /// Takes the failure for one of an input.
+    pub(crate) fn of_input(self) -> Self {
+        Self { code: INPUT, ..self }
+    }
+
     /// Puts the number of the frame in front of the message, if there is one.
     pub(crate) fn in_frame(self, number: Option<u32>) -> Self {
         match number {

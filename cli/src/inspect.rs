@@ -3,14 +3,19 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
-use stein::frame::{Feature, NoiseKnowledge, Repairs, SamplesPerPixel};
+use stein::error::{LayerCause, RequestCause};
+use stein::frame::{Contradiction, Feature, NoiseCheck, NoiseKnowledge, Repairs, SamplesPerPixel};
 use stein::image::Window;
 use stein::text::{self, number};
 use stein::{Error, Frame};
-use stein_exr::{BufferSet, LayerUse, LayoutUse, Role, SignalPart};
+use stein_exr::{BufferSet, LayerUse, LayoutUse, Quantity, Role, SignalPart};
 
 use super::Failure;
+use super::options::Demands;
 use super::out::{indent, table};
+
+/// Name of the layout that knows the usual names of layers.
+const FALLBACK: &str = "native";
 
 /// Description of an input, for programs and people.
 #[derive(Clone, Debug, Serialize)]
@@ -18,16 +23,18 @@ pub(crate) struct Input {
     #[serde(serialize_with = "text::serialize_path")]
     pub(crate) file: PathBuf,
     /// Layout by which the file was read.
-    layout: LayoutUse,
+    pub(crate) layout: LayoutUse,
     /// Renders with other seeds that were merged with the file.
     #[serde(serialize_with = "serialize_paths")]
-    seeds: Vec<PathBuf>,
+    pub(crate) seeds: Vec<PathBuf>,
     /// Files that were found beside the file.
     #[serde(serialize_with = "serialize_paths")]
-    siblings: Vec<PathBuf>,
-    display_window: Rectangle,
+    pub(crate) siblings: Vec<PathBuf>,
+    pub(crate) display_window: Rectangle,
     non_finite_values: usize,
-    layers: Vec<LayerUse>,
+    pub(crate) layers: Vec<LayerUse>,
+    /// Whether a variance cannot be used for want of the number of samples.
+    pub(crate) needs_samples: bool,
     /// The first picture of the file.
     #[serde(flatten)]
     first: Picture,
@@ -38,17 +45,17 @@ pub(crate) struct Input {
 
 /// Description of one picture of an input.
 #[derive(Clone, Debug, Serialize)]
-struct Picture {
+pub(crate) struct Picture {
     /// Layer of the colour; empty for plain `R G B`.
-    layer: String,
-    width: u32,
-    height: u32,
-    data_window: Rectangle,
+    pub(crate) layer: String,
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    pub(crate) data_window: Rectangle,
     /// Samples per pixel; `None` if unknown.
-    samples_per_pixel: Option<Samples>,
+    pub(crate) samples_per_pixel: Option<Samples>,
     /// The frame made of the picture, or the problem.
     #[serde(flatten)]
-    outcome: Outcome,
+    pub(crate) outcome: Outcome,
 }
 
 fn serialize_paths<S: serde::Serializer>(paths: &[PathBuf], serializer: S) -> Result<S::Ok, S::Error> {
@@ -57,7 +64,7 @@ fn serialize_paths<S: serde::Serializer>(paths: &[PathBuf], serializer: S) -> Re
 
 #[derive(Clone, Debug, Serialize)]
 #[serde(rename_all = "snake_case")]
-enum Outcome {
+pub(crate) enum Outcome {
     /// The input can be denoised.
     Frame {
         /// Source of the noise knowledge of the colour.
@@ -67,26 +74,62 @@ enum Outcome {
         noise_level: Option<f64>,
         features: Vec<String>,
         feature_noise: Vec<FeatureNoise>,
+        /// Whether the sources of the noise agree.
+        check: Box<Check>,
         repairs: Repairs,
     },
     /// The input cannot be denoised, for this reason.
     Problem(String),
 }
 
-/// Noise knowledge of a feature.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-struct FeatureNoise {
-    name: String,
-    /// Noise knowledge; `None` if the feature is taken as free of noise.
-    noise_knowledge: Option<NoiseKnowledge>,
+/// Ratios between the sources from which the noise of the colour is known, and their contradiction.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct Check {
+    #[serde(flatten)]
+    pub(crate) ratios: NoiseCheck,
+    pub(crate) contradiction: Option<Contradiction>,
+    /// The contradiction and its remedy in words.
+    pub(crate) message: Option<String>,
 }
 
-#[derive(Clone, Debug, Serialize)]
-struct Rectangle {
+impl Check {
+    fn new(frame: &Frame) -> Self {
+        let ratios = frame.check_of_noise();
+        let contradiction = ratios.contradiction();
+        let in_words = |contradiction| {
+            let error = Error::Request(RequestCause::Contradiction(contradiction));
+            Failure::input(error).message().to_owned()
+        };
+        Self { ratios, contradiction, message: contradiction.map(in_words) }
+    }
+
+    /// Whether both have a contradiction of the same kind, or none.
+    fn is_like(&self, other: &Self) -> bool {
+        let kind = |check: &Self| check.contradiction.as_ref().map(std::mem::discriminant);
+        kind(self) == kind(other)
+    }
+}
+
+/// Noise knowledge of a feature.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct FeatureNoise {
+    pub(crate) name: String,
+    /// Noise knowledge; `None` if the feature is taken as free of noise.
+    pub(crate) noise_knowledge: Option<NoiseKnowledge>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct Rectangle {
     x: i32,
     y: i32,
     width: u32,
     height: u32,
+}
+
+impl std::fmt::Display for Rectangle {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}×{} at ({}, {})", self.width, self.height, self.x, self.y)
+    }
 }
 
 impl From<Window> for Rectangle {
@@ -95,9 +138,9 @@ impl From<Window> for Rectangle {
     }
 }
 
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
-enum Samples {
+pub(crate) enum Samples {
     Uniform(f32),
     PerPixel { least: f32, mean: f64, most: f32 },
 }
@@ -122,7 +165,9 @@ impl Samples {
 impl std::fmt::Display for Samples {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
+            Self::Uniform(1.0) => f.write_str("1 sample per pixel"),
             Self::Uniform(count) => write!(f, "{count} samples per pixel"),
+            Self::PerPixel { least, most, .. } if least == most => Self::Uniform(*least).fmt(f),
             Self::PerPixel { least, mean, most } => {
                 write!(f, "{least} to {most} samples per pixel, {mean:.1} on average")
             }
@@ -131,10 +176,16 @@ impl std::fmt::Display for Samples {
 }
 
 impl Picture {
+    /// Returns the layer of the colour as people call it.
+    pub(crate) fn name(&self) -> &str {
+        if self.layer.is_empty() { "R G B" } else { &self.layer }
+    }
+
     fn new(set: &BufferSet, index: usize, settled: Result<(&Frame, &Repairs), &Error>) -> Self {
         let window = set.data_window_of(index);
         let samples = match &settled {
             Ok((frame, _)) => Samples::of(frame.samples_per_pixel()),
+            Err(error) if needs_samples(error) => None,
             Err(_) => Samples::of(&set.samples_per_pixel()),
         };
         let outcome = match settled {
@@ -144,6 +195,7 @@ impl Picture {
                 noise_level: frame.noise_level(),
                 features: frame.features().iter().map(|feature| feature.name.clone()).collect(),
                 feature_noise: feature_noise(frame),
+                check: Box::new(Check::new(frame)),
                 repairs: repairs.clone(),
             },
             Err(error) => Outcome::Problem(Failure::input(error).message().to_owned()),
@@ -165,14 +217,18 @@ impl Picture {
         }
         match (&self.outcome, &other.outcome) {
             (
-                Outcome::Frame { noise_knowledge, feature_noise, repairs, .. },
+                Outcome::Frame { noise_knowledge, feature_noise, check, repairs, .. },
                 Outcome::Frame {
                     noise_knowledge: other_knowledge,
                     feature_noise: other_noise,
+                    check: other_check,
                     repairs: other_repairs,
                     ..
                 },
-            ) => (noise_knowledge, feature_noise, repairs) == (other_knowledge, other_noise, other_repairs),
+            ) => {
+                (noise_knowledge, feature_noise, repairs) == (other_knowledge, other_noise, other_repairs)
+                    && check.is_like(other_check)
+            }
             _ => false,
         }
     }
@@ -198,6 +254,7 @@ impl Input {
             display_window: set.display_window().into(),
             non_finite_values: set.layer_uses().iter().map(|layer| layer.non_finite_values).sum(),
             layers: set.layer_uses().to_vec(),
+            needs_samples: settled.err().is_some_and(needs_samples) || set.layer_uses().iter().any(lacks_samples),
             first,
             further_pictures: pictures.collect(),
         }
@@ -206,35 +263,80 @@ impl Input {
     /// Formats the description for people. `all` adds the windows and layers that are left out as unimportant
     /// otherwise.
     pub(crate) fn text(&self, all: bool) -> String {
+        let mut lines = self.description(all);
+        let origin = [self.read_by(), self.read_beside()].into_iter().flatten().map(|line| format!("  {line}"));
+        lines.splice(1..1, origin);
+        lines.join("\n")
+    }
+
+    /// Formats how the layout was found; `None` if no layout was recognised.
+    fn read_by(&self) -> Option<String> {
+        let (title, how) = (text::name(&self.layout.title), text::name(&self.layout.recognised_by));
+        self.has_layout().then(|| format!("layout: {title}, {how}"))
+    }
+
+    /// Formats the other files that were read without having been named one by one.
+    fn read_beside(&self) -> Option<String> {
+        let seeds = self.seeds.iter().map(|seed| format!("{} (another seed)", text::path(seed)));
+        let files: Vec<_> = seeds.chain(self.siblings.iter().map(|file| text::path(file))).collect();
+        (!files.is_empty()).then(|| format!("with: {}", text::list(files)))
+    }
+
+    /// Whether the layout was recognised or requested. The fallback knows the usual names.
+    pub(crate) fn has_layout(&self) -> bool {
+        self.layout.name != FALLBACK || !self.layout.recognised_by.starts_with("no sign")
+    }
+
+    /// Formats the description in lines, without the layout and the files beside the input.
+    fn description(&self, all: bool) -> Vec<String> {
         let mut head = format!("{}: {}×{}", text::path(&self.file), self.first.width, self.first.height);
         if let Some(samples) = &self.first.samples_per_pixel {
             head += &format!(", {samples}");
         }
         let mut lines = vec![head];
-        let (data, display) = (&self.first.data_window, &self.display_window);
-        if all || (data.x, data.y, data.width, data.height) != (display.x, display.y, display.width, display.height) {
-            let told =
-                |window: &Rectangle| format!("{}×{} at ({}, {})", window.width, window.height, window.x, window.y);
-            lines.push(format!("  data window {}, display window {}", told(data), told(display)));
+        if all || self.first.data_window != self.display_window {
+            lines.push(format!("  data window {}, display window {}", self.first.data_window, self.display_window));
         }
         lines.push(self.roles());
         lines.extend(self.unused(all));
         if all {
             lines.push(format!("  not finite: {} values", self.non_finite_values));
         }
-        if let Outcome::Frame { noise_knowledge, noise_level, feature_noise, repairs, .. } = &self.first.outcome {
+        if let Outcome::Frame { noise_knowledge, noise_level, feature_noise, check, repairs, .. } = &self.first.outcome
+        {
             lines.push(format!("  noise: known from {noise_knowledge}{}", meaning(*noise_knowledge)));
             if all {
                 let level =
                     noise_level.map_or_else(|| "unknown".to_owned(), |level| format!("about {}", number(level)));
                 lines.push(format!("  relative MSE of the noise: {level}"));
                 lines.extend(feature_noise.iter().map(FeatureNoise::text));
+                lines.extend(check.text());
             }
             if !repairs.is_empty() {
                 lines.push(indent(&repairs.to_string()));
             }
         }
+        for (layer, message) in self.contradictions() {
+            let of = if layer.is_empty() { String::new() } else { format!(" of {}", text::name(layer)) };
+            lines.push(indent(&format!("contradiction in the noise{of}: {message}")));
+        }
+        lines
+    }
+
+    /// Formats all that is known of the layers: their use, their noise, and each of them by name.
+    pub(crate) fn details(&self) -> String {
+        let mut lines: Vec<String> = self.description(true).into_iter().skip(1).collect();
+        lines.push("  layers:".into());
+        let several = self.layers.iter().any(|layer| layer.file != self.file);
+        lines.extend(self.layers.iter().map(|layer| {
+            let file = if several { format!("{}::", text::path(&layer.file)) } else { String::new() };
+            format!("    {file}{layer}")
+        }));
         lines.join("\n")
+    }
+
+    pub(crate) fn first(&self) -> &Picture {
+        &self.first
     }
 
     /// Whether another frame of a shot has pictures of the same size, the same sources of noise and the same repairs.
@@ -243,7 +345,7 @@ impl Input {
             && self.pictures().zip(other.pictures()).all(|(own, other)| own.is_used_like(other))
     }
 
-    fn pictures(&self) -> impl Iterator<Item = &Picture> {
+    pub(crate) fn pictures(&self) -> impl Iterator<Item = &Picture> {
         std::iter::once(&self.first).chain(&self.further_pictures)
     }
 
@@ -252,6 +354,24 @@ impl Input {
         self.pictures().find_map(|picture| match &picture.outcome {
             Outcome::Frame { .. } => None,
             Outcome::Problem(problem) => Some(problem.as_str()),
+        })
+    }
+
+    /// Refuses pictures whose sources of noise contradict each other.
+    fn require_agreement(&self) -> Result<(), Error> {
+        self.pictures().try_for_each(|picture| match &picture.outcome {
+            Outcome::Frame { check, .. } => check.ratios.require_agreement(),
+            Outcome::Problem(_) => Ok(()),
+        })
+    }
+
+    /// Returns the contradictions between the sources of the pictures' noise: the layer of the colour if there are
+    /// several pictures, and the contradiction with its remedy.
+    fn contradictions(&self) -> impl Iterator<Item = (&str, &str)> {
+        let layer = |picture| if self.further_pictures.is_empty() { "" } else { Picture::name(picture) };
+        self.pictures().filter_map(move |picture| match &picture.outcome {
+            Outcome::Frame { check, .. } => Some((layer(picture), check.message.as_deref()?)),
+            Outcome::Problem(_) => None,
         })
     }
 
@@ -364,11 +484,37 @@ impl FeatureNoise {
     }
 }
 
-/// Makes the frames of a set's pictures and describes the input. The set keeps the data for an output. Refuses a colour
-/// without noise knowledge if `require_noise` is set.
-pub(crate) fn settle(set: &mut BufferSet, require_noise: bool) -> (Result<Vec<Frame>, Error>, Input) {
+impl Check {
+    /// Formats the ratios; `None` if there are none.
+    fn text(&self) -> Option<String> {
+        let ratios = [
+            ("variance to image", self.ratios.variance_over_image),
+            ("halves to variance", self.ratios.halves_over_variance),
+            ("halves to image", self.ratios.halves_over_image),
+        ];
+        let told: Vec<_> =
+            ratios.iter().filter_map(|(name, ratio)| Some(format!("{name} {}", number((*ratio)?)))).collect();
+        (!told.is_empty()).then(|| format!("  noise compared: {}", told.join(", ")))
+    }
+}
+
+/// Whether a layer is left out because the number of samples is missing.
+fn lacks_samples(layer: &LayerUse) -> bool {
+    let causes = [Quantity::VarianceOfSample, Quantity::SecondMoment]
+        .map(|quantity| LayerCause::NeedsSamples { quantity: quantity.to_string() }.to_string());
+    layer.note.as_ref().is_some_and(|note| causes.iter().any(|cause| note.contains(cause)))
+}
+
+/// Whether nothing but the number of samples is missing.
+pub(crate) fn needs_samples(error: &Error) -> bool {
+    matches!(error, Error::Layer { cause: LayerCause::NeedsSamples { .. }, .. })
+}
+
+/// Makes the frames of a set's pictures and describes the input. The set keeps the data for an output. Refuses an input
+/// that does not tell of its noise what `demands` says.
+pub(crate) fn settle(set: &mut BufferSet, demands: Demands) -> (Result<Vec<Frame>, Error>, Input) {
     let settled = set.take_frames().and_then(|frames| {
-        if require_noise {
+        if demands.require_noise {
             frames.iter().try_for_each(|(frame, repairs)| frame.require_noise(repairs))?;
         }
         Ok(frames)
@@ -376,7 +522,8 @@ pub(crate) fn settle(set: &mut BufferSet, require_noise: bool) -> (Result<Vec<Fr
     match settled {
         Ok(frames) => {
             let input = Input::new(set, Ok(&frames));
-            (Ok(frames.into_iter().map(|(frame, _)| frame).collect()), input)
+            let agreement = if demands.strict { input.require_agreement() } else { Ok(()) };
+            (agreement.map(|()| frames.into_iter().map(|(frame, _)| frame).collect()), input)
         }
         Err(error) => {
             let input = Input::new(set, Err(&error));
@@ -386,7 +533,7 @@ pub(crate) fn settle(set: &mut BufferSet, require_noise: bool) -> (Result<Vec<Fr
 }
 
 /// Makes the frame of a set's first picture, as [`settle`] does.
-pub(crate) fn settle_first(set: &mut BufferSet, require_noise: bool) -> (Result<Frame, Error>, Input) {
-    let (frames, input) = settle(set, require_noise);
+pub(crate) fn settle_first(set: &mut BufferSet, demands: Demands) -> (Result<Frame, Error>, Input) {
+    let (frames, input) = settle(set, demands);
     (frames.map(|mut frames| frames.swap_remove(0)), input)
 }

@@ -153,7 +153,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if let Some(file) = &args.output {
         output::check_not_read(file, &set)?;
     }
-    let (frame, described) = settle_first(&mut set, args.source.require_noise);
+    let (frame, described) = settle_first(&mut set, args.source.demands);
     out.say(described.text(false));
     let frame = frame.map_err(|error| Failure::in_file(input, error))?;
     let gpu = args.device.open()?;

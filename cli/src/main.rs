@@ -14,6 +14,7 @@ mod info;
 mod inspect;
 mod interrupt;
 mod kernel;
+mod layouts;
 mod options;
 mod out;
 mod output;
@@ -24,6 +25,7 @@ mod render;
 mod report;
 mod sample_map;
 mod selftest;
+mod verdict;
 
 use std::process::ExitCode;
 

@@ -22,10 +22,21 @@ pub(crate) struct Source {
     /// Take every path as it is, without frame numbers (`#`, `%04d`) and layers (`::`)
     #[arg(long)]
     pub(crate) literal: bool,
+    #[command(flatten)]
+    pub(crate) demands: Demands,
+}
+
+/// What an input has to tell of its noise.
+#[derive(Clone, Copy, Debug, Default, PartialEq, clap::Args)]
+pub(crate) struct Demands {
     /// Refuse an image that has neither halves nor a variance of its colour; without this option the noise is estimated
     /// from the image itself
     #[arg(long)]
     pub(crate) require_noise: bool,
+    /// Refuse an image whose halves, variance and visible noise contradict each other, as if the variance were that of
+    /// one sample; without this option the contradiction is only reported
+    #[arg(long)]
+    pub(crate) strict: bool,
 }
 
 impl Source {

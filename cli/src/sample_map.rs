@@ -136,7 +136,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
 
     let mut set = options::read(&request)?;
     output::check_not_read(&file, &set)?;
-    let (frame, described) = settle_first(&mut set, args.source.require_noise);
+    let (frame, described) = settle_first(&mut set, args.source.demands);
     out.say(described.text(false));
     let frame = frame.map_err(|error| Failure::in_file(input, error))?;
     let gpu = args.device.open()?;

@@ -89,6 +89,13 @@ pub enum Remedy {
     GiveHalves,
     /// Render and give a variance.
     GiveVariance,
+    /// Say what kind of quantity a variance is.
+    SayQuantity {
+        /// The quantity that it is, as layouts spell it, such as `variance of one sample`.
+        quantity: &'static str,
+    },
+    /// Give the image as it was before any filter.
+    GiveUnfiltered,
     /// Find out what is wrong with a layer.
     LookAtLayer,
     /// Find out what is wrong with the halves and the variance.
@@ -235,6 +242,8 @@ impl fmt::Display for Remedy {
 
             Self::GiveHalves => "render twice with different seeds and give both as halves, their average as the input",
             Self::GiveVariance => "let the renderer write the variance of the pixel mean, as layer `variance`",
+            Self::SayQuantity { quantity } => return write!(f, "say that it is a {quantity}"),
+            Self::GiveUnfiltered => "give the image before any filter",
             Self::LookAtLayer => "look at the layer in an image viewer",
             Self::LookAtHalves => "look at the halves and the variance in an image viewer",
             Self::RenderAgain => "render it again",

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use super::Remedy;
+use crate::frame::Contradiction;
 use crate::image::Extent;
 use crate::method::LARGEST_PATCH_RADIUS;
 use crate::stage::candidate_filter::MOST_CANDIDATES;
@@ -175,6 +176,9 @@ pub enum RequestCause {
         /// Reasons why given halves or a given variance are not used. Empty if none were given.
         reasons: Vec<String>,
     },
+    /// The sources from which the noise of the colour is known contradict each other.
+    #[error("{0}")]
+    Contradiction(Contradiction),
     /// The noise of the colour is unknown, and the parameters leave its estimate out.
     #[error("nothing is known of the colour's noise, and the parameters leave out to estimate it")]
     NoiseNotEstimated,
@@ -354,6 +358,7 @@ impl RequestCause {
             Self::NoUsableValue { .. } => vec![Remedy::LookAtLayer, Remedy::RenderAgain],
             Self::UnknownNoise { reasons } if reasons.is_empty() => vec![Remedy::GiveHalves, Remedy::GiveVariance],
             Self::UnknownNoise { .. } => vec![Remedy::LookAtHalves, Remedy::RenderHalvesAgain],
+            Self::Contradiction(contradiction) => contradiction.remedies(),
             Self::NoiseNotEstimated => vec![Remedy::EstimateNoise, Remedy::GiveHalves, Remedy::GiveVariance],
             Self::PixelOutside { extent, .. } => {
                 let (column, row) = (extent.width.saturating_sub(1), extent.height.saturating_sub(1));

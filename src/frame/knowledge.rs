@@ -7,8 +7,8 @@ use serde::Serialize;
 use super::{Feature, Frame, RELATIVE_EPSILON, Repairs, Signal};
 use crate::error::{Error, RequestCause, Result};
 
-/// The remark on a colour without halves and variance.
-pub(super) const IMAGE_ONLY: &str = "colour: its noise is estimated from the image itself; two renders with different \
+/// The remark on a colour without halves and variance, see [`NoiseKnowledge::ImageOnly`].
+pub const IMAGE_ONLY: &str = "colour: its noise is estimated from the image itself; two renders with different \
                                      seeds are better: give both";
 
 /// Sources from which the noise of a signal is known. Displays as a phrase such as `two seeds`.

@@ -8,6 +8,7 @@ use serde::Serialize;
 use super::image_noise::{Residuals, WINDOW_RADIUS, around};
 use super::sources::{self, two_digits};
 use super::{Frame, SamplesPerPixel};
+use crate::error::{Error, Remedy, RequestCause, Result};
 use crate::image::Image;
 
 /// Distances in pixels over which residuals are taken. Noise that neighbours share makes residuals of near neighbours
@@ -21,8 +22,12 @@ const STEPS_OF_HALVES: [usize; 3] = [1, 3, 6];
 const CONTRADICTION: f64 = 5.0;
 /// Least number of values, over all pixels and channels, from which a median is taken: 8×8 pixels of three channels.
 const LEAST_VALUES: usize = 192;
-/// Most pixels that are looked at; of larger images every n-th row.
-const MOST_PIXELS: usize = 1 << 20;
+/// Most pixels of which a median is taken; of larger images every n-th row is looked at. Medians of fewer values stay
+/// within a few hundredths, and the check takes little time beside the reading of a file.
+const MOST_PIXELS: usize = 1 << 16;
+/// Most pixels in the boxes in which halves are looked at; of larger images every n-th row of boxes is. Boxes are fewer
+/// than pixels, and halves may differ in a part of the image alone.
+const MOST_PIXELS_OF_BOXES: usize = 1 << 17;
 /// Largest variance, as a share of the squared mean, that may be round-off or quantisation rather than noise.
 const CLEAN: f64 = 1e-6;
 /// Side of the boxes in which the structure of the halves is looked for, in pixels.
@@ -121,16 +126,18 @@ pub enum LargeVariance {
 impl Frame {
     /// Compares the sources from which the noise of the colour is known.
     ///
-    /// Of images with more than a million pixels, estimates from the image take every n-th row.
+    /// Of images with more than 65 536 pixels, estimates from the image take every n-th row; of those with
+    /// more than 131 072 pixels, comparisons of the halves take every n-th row of boxes.
     pub fn check_of_noise(&self) -> NoiseCheck {
         let mean = &self.color.mean;
         let (spread, variance) = (self.color.half_spread.as_ref(), self.color.variance_of_mean.as_ref());
         let square = |value: f32| f64::from(value).powi(2);
+        let every = self.extent.pixels().div_ceil(MOST_PIXELS_OF_BOXES).max(1);
         NoiseCheck {
             variance_over_image: variance.and_then(|variance| over_image(variance, f64::from, mean, mean)),
             halves_over_variance: spread
                 .zip(variance)
-                .and_then(|(spread, variance)| sources::halves_over_variance(mean, spread, variance)),
+                .and_then(|(spread, variance)| sources::halves_over_variance(mean, spread, variance, every)),
             halves_over_image: spread.and_then(|spread| over_image(spread, square, mean, mean)),
             structure_of_halves: spread.and_then(|spread| structure(spread, mean)),
             variance_beyond_square: variance.and_then(|variance| beyond_square(mean, variance)),
@@ -184,6 +191,14 @@ impl NoiseCheck {
         smooth(of_variance?.min(of_halves?))
     }
 
+    /// Refuses sources that contradict each other, for callers to whom a remark is not enough.
+    ///
+    /// # Errors
+    /// [`Error::Request`] with the contradiction and its remedies.
+    pub fn require_agreement(&self) -> Result<()> {
+        self.contradiction().map_or(Ok(()), |contradiction| Err(Error::Request(contradiction.into())))
+    }
+
     /// Makes the contradiction; `factor` is from the halves if there are any.
     fn variance_too_large(&self, factor: f64) -> Contradiction {
         // Texture lowers a factor from the image, a wide pixel filter raises it.
@@ -211,6 +226,30 @@ impl Contradiction {
             | Self::HalvesTooAlike { factor }
             | Self::ImageTooSmooth { factor } => factor,
         }
+    }
+
+    /// Returns actions that help the user if the likely cause is the true one, the best action first.
+    pub fn remedies(&self) -> Vec<Remedy> {
+        match self {
+            Self::VarianceTooLarge { meaning: LargeVariance::OneSample { .. }, .. } => {
+                vec![Remedy::SayQuantity { quantity: "variance of one sample" }, Remedy::GiveSamples]
+            }
+            Self::VarianceTooLarge { meaning: LargeVariance::SecondMoment, .. } => {
+                vec![Remedy::SayQuantity { quantity: "second moment" }]
+            }
+            Self::VarianceTooLarge { meaning: LargeVariance::Unknown { .. }, .. } => {
+                vec![Remedy::GiveSamples, Remedy::GiveVariance, Remedy::GiveUnfiltered]
+            }
+            Self::VarianceTooSmall { .. } => vec![Remedy::GiveVariance, Remedy::GiveSamples],
+            Self::HalvesTooDifferent { .. } | Self::HalvesTooAlike { .. } => vec![Remedy::RenderHalvesAgain],
+            Self::ImageTooSmooth { .. } => vec![Remedy::GiveUnfiltered],
+        }
+    }
+}
+
+impl From<Contradiction> for RequestCause {
+    fn from(contradiction: Contradiction) -> Self {
+        Self::Contradiction(contradiction)
     }
 }
 
@@ -321,7 +360,7 @@ fn over_image(declared: &Image, to_variance: fn(f32) -> f64, mean: &Image, image
 fn structure(spread: &Image, mean: &Image) -> Option<f64> {
     let extent = spread.extent;
     let (width, height) = (extent.width as usize, extent.height as usize);
-    let every = extent.pixels().div_ceil(MOST_PIXELS).max(1);
+    let every = extent.pixels().div_ceil(MOST_PIXELS_OF_BOXES).max(1);
     let steps: Vec<usize> = STEPS_OF_HALVES.into_iter().filter(|step| width.min(height) > 2 * step).collect();
     if steps.is_empty() {
         return None;
@@ -379,11 +418,15 @@ impl StructureBox {
 /// if too few values have noise.
 fn beyond_square(mean: &Image, variance: &Image) -> Option<f64> {
     let (mut noisy, mut beyond) = (0usize, 0usize);
-    for (mean, variance) in mean.planes.iter().flatten().zip(variance.planes.iter().flatten()) {
-        let (square, variance) = (f64::from(*mean).powi(2), f64::from(*variance));
-        if variance > CLEAN * square {
-            noisy += 1;
-            beyond += usize::from(variance >= square * 0.998);
+    let (width, every) = (mean.extent.width as usize, mean.extent.pixels().div_ceil(MOST_PIXELS).max(1));
+    for (mean, variance) in mean.planes.iter().zip(&variance.planes) {
+        let rows = mean.chunks(width).zip(variance.chunks(width)).step_by(every);
+        for (mean, variance) in rows.flat_map(|(mean, variance)| mean.iter().zip(variance)) {
+            let (square, variance) = (f64::from(*mean).powi(2), f64::from(*variance));
+            if variance > CLEAN * square {
+                noisy += 1;
+                beyond += usize::from(variance >= square * 0.998);
+            }
         }
     }
     (noisy >= LEAST_VALUES).then(|| beyond as f64 / noisy as f64)

@@ -106,7 +106,7 @@ pub(super) fn settle(layer: Layer, signal: &mut Signal, notes: &mut Vec<String>)
         *half_spread = None;
         return;
     }
-    if let Some(ratio) = spread_over_variance(mean, spread, variance, &noise) {
+    if let Some(ratio) = spread_over_variance(mean, spread, variance, &noise, 1) {
         let overstated = if layer.is_color { CONTRADICTION } else { FEATURE_OVERSTATED };
         if ratio >= CONTRADICTION || ratio * overstated <= 1.0 {
             notes.push(format!(
@@ -182,9 +182,9 @@ fn two_buffer_variance(spread: &Image, channel: usize) -> Vec<f32> {
 }
 
 /// Returns the median over boxes of the mean squared half spread divided by the mean variance: 1 if both agree. `None`
-/// if no box has enough pixels with a variance.
-pub(super) fn halves_over_variance(mean: &Image, spread: &Image, variance: &Image) -> Option<f64> {
-    spread_over_variance(mean, spread, variance, &Noise::new(mean))
+/// if no box has enough pixels with a variance. Looks at every n-th row of boxes.
+pub(super) fn halves_over_variance(mean: &Image, spread: &Image, variance: &Image, every: usize) -> Option<f64> {
+    spread_over_variance(mean, spread, variance, &Noise::new(mean), every)
 }
 
 /// Returns the median over boxes of the mean squared half spread divided by the mean variance: 1 if both agree. `None`
@@ -192,12 +192,12 @@ pub(super) fn halves_over_variance(mean: &Image, spread: &Image, variance: &Imag
 ///
 /// In single pixels the ratio spreads like χ² with one degree of freedom, and the variance alone is too low where a
 /// rare bright path was missed. Means over boxes have neither fault, and the median ignores the boxes with spikes.
-fn spread_over_variance(mean: &Image, spread: &Image, variance: &Image, noise: &Noise) -> Option<f64> {
+fn spread_over_variance(mean: &Image, spread: &Image, variance: &Image, noise: &Noise, every: usize) -> Option<f64> {
     let width = spread.extent.width as usize;
     let mut ratios = Vec::new();
     for (spread, variance) in spread.planes.iter().zip(&variance.planes) {
         let rows = spread.chunks(width * BOX).zip(variance.chunks(width * BOX));
-        for (first, (spread, variance)) in (0..).step_by(width * BOX).zip(rows) {
+        for (first, (spread, variance)) in (0..).step_by(width * BOX).zip(rows).step_by(every) {
             let mut boxes = vec![(0.0, 0.0, 0usize); width.div_ceil(BOX)];
             for (at, (spread, variance)) in spread.iter().zip(variance).enumerate() {
                 let (squares, variances, noisy) = &mut boxes[at % width / BOX];

@@ -10,7 +10,7 @@ use stein_exr::{BufferSetRequest, LayerRef};
 
 use super::Args;
 use super::pattern::Pattern;
-use crate::options::Source;
+use crate::options::{Demands, Source};
 use crate::{Failure, output};
 
 /// All steps of a run, in order.
@@ -31,8 +31,7 @@ pub(super) struct Read {
     /// Number of the frame; `None` for a single image.
     pub(super) number: Option<u32>,
     pub(super) request: BufferSetRequest,
-    /// Whether a colour without noise knowledge is refused.
-    pub(super) require_noise: bool,
+    pub(super) demands: Demands,
     pub(super) reference: Option<LayerRef>,
     /// File to write; `None` if the frame only serves as a neighbour.
     pub(super) output: Option<PathBuf>,
@@ -112,7 +111,7 @@ impl ShotPlan {
         let read = Read {
             number: None,
             request: source.request(input, &args.further),
-            require_noise: source.require_noise,
+            demands: source.demands,
             reference,
             output: Some(output.clone()),
         };
@@ -162,7 +161,7 @@ impl ShotPlan {
         let read = |frame: u32, output: Option<&PathBuf>| Read {
             number: Some(frame),
             request: source.request(input, &args.further).map_files(|file| at_frame(file, frame)),
-            require_noise: source.require_noise,
+            demands: source.demands,
             reference: args
                 .reference
                 .as_ref()

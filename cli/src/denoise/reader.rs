@@ -87,7 +87,7 @@ fn load(read: &Read) -> Result<ReadFrame, Unusable> {
     if let Some(output) = &read.output {
         output::check_not_read(output, &set).map_err(|failure| unusable(None, failure))?;
     }
-    let (frames, described) = settle(&mut set, read.require_noise);
+    let (frames, described) = settle(&mut set, read.demands);
     let described = Box::new(described);
     let frames = match frames {
         Ok(frames) => frames,

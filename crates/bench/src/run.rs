@@ -31,6 +31,8 @@ pub struct Settings<'a> {
     pub request: BufferSetRequest,
     /// Whether a colour without halves and without variance is refused.
     pub requires_noise: bool,
+    /// Whether a set is refused whose halves, variance and visible noise contradict each other.
+    pub requires_agreement: bool,
     /// Memory limit on the device, in bytes.
     pub max_memory: Option<u64>,
     /// Whether pictures are kept for the page of a report.
@@ -166,6 +168,9 @@ impl Run<'_> {
         let (frame, repairs) = set.take_frame().map_err(in_file)?;
         if self.settings.requires_noise {
             frame.require_noise(&repairs).map_err(in_file)?;
+        }
+        if self.settings.requires_agreement {
+            frame.check_of_noise().require_agreement().map_err(in_file)?;
         }
         self.check_halves(&frame, &file.file)?;
         let reference = file.reference.as_ref();

@@ -248,7 +248,8 @@ pub struct LayerUse {
     pub role: Role,
     /// Index of the picture that the layer belongs to; `None` for layers that are not used, or belong to all pictures.
     pub picture: Option<usize>,
-    /// Quantity of a variance that is converted: a variance of one sample or a second moment.
+    /// Quantity of a variance that is converted: a variance of one sample or a second moment; of a layer that is not
+    /// used, if it is easily mistaken for a variance.
     pub quantity: Option<Quantity>,
     /// Unit of the layer, if it is a remarkable one.
     pub unit: Option<Unit>,
@@ -263,7 +264,8 @@ impl fmt::Display for LayerUse {
         let name = if self.layer.is_empty() { "(no layer name)" } else { &text::name(&self.layer) };
         let channels = self.channels.join(" ");
         write!(f, "{name} [{}] {}: {}", text::name(&channels), self.sample_kind, self.role)?;
-        if let Some(quantity) = self.quantity {
+        // The note says why something is not a variance.
+        if let Some(quantity) = self.quantity.filter(|quantity| *quantity != Quantity::NotAVariance) {
             write!(f, ", a {quantity}")?;
         }
         if self.non_finite_values > 0 {

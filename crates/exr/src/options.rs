@@ -40,6 +40,11 @@ pub fn remedy(remedy: &Remedy) -> String {
         Remedy::GiveFeatureToo => {
             "give the feature itself, too (--feature), or its name as `stein info` lists it".into()
         }
+        Remedy::SayQuantity { quantity } => format!(
+            "say so with --layout FILE, a layout with `quantity = \"{quantity}\"` for it (`stein layouts --show NAME` \
+             prints one to start from), and with --samples N"
+        ),
+        Remedy::GiveUnfiltered => "name the layer before any filter (--layer)".into(),
         Remedy::GiveSamples => "say how many samples a pixel has (--samples N)".into(),
         Remedy::NameLayer => "name the layer to take (--layer, or FILE::LAYER)".into(),
         Remedy::AnotherAdapter => "choose another adapter with --device (`stein devices` lists them)".into(),

@@ -84,7 +84,7 @@ pub struct BufferSetRequest {
     )]
     pub feature_variance: Vec<(String, LayerRef)>,
     /// Another render of the same frame with another seed, to be merged with the input; may be repeated
-    #[cfg_attr(feature = "programs", arg(long = "seed", value_name = "FILE"))]
+    #[cfg_attr(feature = "programs", arg(id = "seed", long, value_name = "FILE"))]
     pub seeds: Vec<PathBuf>,
     /// Samples per pixel of the input, or of each seed [default: as the file says]
     #[cfg_attr(

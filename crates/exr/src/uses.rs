@@ -100,7 +100,11 @@ pub(crate) fn layer_uses(set: &BufferSet, classified: &[Classified], rules: &[Ru
                     Some(RoleName::Denoised) if quantity == Quantity::Mean => Role::Denoised,
                     _ => Role::Untouched,
                 };
-                found.quantity = Some(quantity).filter(|it| found.role == Role::Light && *it != Quantity::Mean);
+                found.quantity = Some(quantity).filter(|quantity| match found.role {
+                    Role::Light => *quantity != Quantity::Mean,
+                    Role::Untouched => *quantity == Quantity::NotAVariance,
+                    _ => false,
+                });
                 found.note = found.note.or_else(|| rule.and_then(|rule| rule.why.clone()));
             }
             uses.push(found);

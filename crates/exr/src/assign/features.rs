@@ -115,12 +115,7 @@ impl Files {
 
     /// Adds the picture's own features: one for each role, and layers that come with halves or a variance. Each name to
     /// skip must match one of them: its whole name, the part behind one of its dots, or the name of its role.
-    fn find_features(
-        &mut self,
-        picture: &mut Picture,
-        request: &BufferSetRequest,
-        left_out: &mut Vec<LeftOut>,
-    ) {
+    fn find_features(&mut self, picture: &mut Picture, request: &BufferSetRequest, left_out: &mut Vec<LeftOut>) {
         let window = self.window(&picture.color.mean);
         let of_color: Vec<LayerId> =
             picture.color.planes().map(|planes| LayerId { file: planes.file, layer: planes.layer }).collect();
