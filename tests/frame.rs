@@ -220,7 +220,7 @@ fn assert_image_only((frame, repairs): (Frame, Repairs), said: &[&str]) {
     let remark =
         repairs.notes.iter().find(|note| note.starts_with("colour: its noise is estimated from the image itself"));
     assert!(
-        remark.is_some_and(|remark| ["different seeds", "halves", "--half-a"].iter().all(|word| remark.contains(word))),
+        remark.is_some_and(|remark| ["different seeds", "give both"].iter().all(|word| remark.contains(word))),
         "{repairs}"
     );
     assert!(
