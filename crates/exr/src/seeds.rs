@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
 use stein::error::{Error, FileCause, LayerCause, RequestCause, Result};
 use stein::frame::SamplesPerPixel;
 use stein::text;
@@ -227,41 +228,47 @@ impl Weights {
         }
     }
 
-    /// Merges the values of all seeds at a pixel. Values that say nothing do not count if others do.
-    fn merged(&self, values: &[f32], pixel: usize, says_nothing: impl Fn(f32) -> bool) -> Merged {
-        let mut counts: Vec<f64> = (0..values.len()).map(|seed| self.count(seed, pixel).max(0.0)).collect();
-        if counts.iter().all(|count| *count == 0.0) {
-            counts.fill(1.0);
-        }
-        let all: f64 = counts.iter().sum();
-        let counts_not = |value: &f32| !value.is_finite() || says_nothing(*value);
-        let useful = || values.iter().zip(&counts).filter(|(value, count)| !counts_not(value) && **count > 0.0);
-        if useful().next().is_none() {
-            // A value that a seed with samples has, such as the distance of a miss.
-            let value =
-                values.iter().zip(&counts).find(|(_, count)| **count > 0.0).map_or(values[0], |(value, _)| *value);
-            let value = f64::from(value);
-            return Merged { mean: value, spread: 0.0, of_squares: value, sum: all };
-        }
+    /// Merges a channel of all seeds, pixel by pixel. Values that say nothing do not count if others do.
+    fn merged(
+        &self,
+        planes: &[Vec<f32>],
+        says_nothing: impl Fn(f32) -> bool + Send + Sync,
+    ) -> impl IndexedParallelIterator<Item = Merged> {
+        let pixels = planes.first().map_or(0, Vec::len);
+        (0..pixels).into_par_iter().map(move |pixel| self.merged_at(planes, pixel, &says_nothing))
+    }
+
+    fn merged_at(&self, planes: &[Vec<f32>], pixel: usize, says_nothing: &impl Fn(f32) -> bool) -> Merged {
+        let seeds = || 0..planes.len();
+        let own_count = |seed: usize| self.count(seed, pixel).max(0.0);
+        // Where no seed has samples, all count the same.
+        let has_none = seeds().all(|seed| own_count(seed) == 0.0);
+        let count = |seed: usize| if has_none { 1.0 } else { own_count(seed) };
         let mut halves = [(0.0, 0.0); 2];
         let mut squares = 0.0;
-        for ((value, count), in_a) in values.iter().zip(&counts).zip(&self.in_a) {
-            if !counts_not(value) {
-                let half = &mut halves[usize::from(!in_a)];
-                *half = (half.0 + count * f64::from(*value), half.1 + count);
-                squares += count * count * f64::from(*value);
+        for seed in seeds() {
+            let value = planes[seed][pixel];
+            if value.is_finite() && !says_nothing(value) {
+                let half = &mut halves[usize::from(!self.in_a[seed])];
+                *half = (half.0 + count(seed) * f64::from(value), half.1 + count(seed));
+                squares += count(seed) * count(seed) * f64::from(value);
             }
         }
         let [(sum_a, count_a), (sum_b, count_b)] = halves;
-        let count = count_a + count_b;
+        let all = count_a + count_b;
+        if all == 0.0 {
+            // A value that a seed with samples has, such as the distance of a miss.
+            let seed = seeds().find(|seed| count(*seed) > 0.0).unwrap_or(0);
+            let value = f64::from(planes[seed][pixel]);
+            return Merged { mean: value, spread: 0.0, of_squares: value };
+        }
         // Where one half has no samples, nothing is known of the noise; pixels around tell it.
         let has_both = count_a > 0.0 && count_b > 0.0;
-        let spread = (sum_a / count_a - sum_b / count_b) * (count_a * count_b).sqrt() / count;
+        let spread = (sum_a / count_a - sum_b / count_b) * (count_a * count_b).sqrt() / all;
         Merged {
-            mean: (sum_a + sum_b) / count,
+            mean: (sum_a + sum_b) / all,
             spread: if has_both { spread } else { 0.0 },
-            of_squares: squares / (count * count),
-            sum: all,
+            of_squares: squares / (all * all),
         }
     }
 
@@ -296,8 +303,6 @@ struct Merged {
     spread: f64,
     /// Σ n_i²·x_i/n², the merged variance of means.
     of_squares: f64,
-    /// Number of samples of all seeds.
-    sum: f64,
 }
 
 /// The values of a layer in the input and in all seeds, in the window of the input's layer.
@@ -479,14 +484,9 @@ impl<'a> Merger<'a> {
         let at = first_half + 2 * order;
         let Some(halves) = self.halves.get_mut(&planes.file) else { unreachable!("it was just put there") };
         for (channel, values) in &column.channels {
-            let (mut a, mut b) = (Vec::with_capacity(values[0].len()), Vec::with_capacity(values[0].len()));
-            let mut at_pixel = vec![0.0; values.len()];
-            for pixel in 0..values[0].len() {
-                at_pixel.iter_mut().zip(values).for_each(|(value, plane)| *value = plane[pixel]);
-                let Merged { mean, spread, .. } = weights.merged(&at_pixel, pixel, &says_nothing);
-                a.push((mean + spread) as f32);
-                b.push((mean - spread) as f32);
-            }
+            let merged = weights.merged(values, &says_nothing);
+            let of_halves = |Merged { mean, spread, .. }: Merged| ((mean + spread) as f32, (mean - spread) as f32);
+            let (a, b) = merged.map(of_halves).unzip();
             halves[0].set_plane(column.part, *channel, a);
             halves[1].set_plane(column.part, *channel, b);
         }
@@ -519,18 +519,15 @@ impl<'a> Merger<'a> {
                 let weights = self.weights(set, &scope, part);
                 let (weights, says_nothing) = (&self.weights[weights], self.says_nothing(&planes));
                 for (channel, values) in &column.channels {
-                    let mut at_pixel = vec![0.0; values.len()];
-                    let merged = (0..values[0].len()).map(|pixel| {
-                        at_pixel.iter_mut().zip(values).for_each(|(value, plane)| *value = plane[pixel]);
-                        let all = weights.merged(&at_pixel, pixel, &says_nothing);
-                        let value = match quantity {
-                            Quantity::VarianceOfMean => all.of_squares,
-                            Quantity::Count => all.sum,
-                            _ => all.mean,
-                        };
-                        value as f32
-                    });
-                    let merged = merged.collect();
+                    let merged: Vec<f32> = match quantity {
+                        Quantity::Count => {
+                            (0..values[0].len()).map(|pixel| values.iter().map(|plane| plane[pixel]).sum()).collect()
+                        }
+                        Quantity::VarianceOfMean => {
+                            weights.merged(values, &says_nothing).map(|all| all.of_squares as f32).collect()
+                        }
+                        _ => weights.merged(values, &says_nothing).map(|all| all.mean as f32).collect(),
+                    };
                     set.files[file].set_plane(column.part, *channel, merged);
                 }
             }
