@@ -223,6 +223,14 @@ pub enum LayerCause {
         /// File of the colour.
         color_file: PathBuf,
     },
+    /// The layer has another resolution than the colour.
+    #[error("it has another resolution: its whole picture is {found}, and the colour's {expected}")]
+    Resolution {
+        /// Extent of the layer's display window, or of the layer, for messages.
+        found: String,
+        /// Extent of the colour's display window, or of the colour, for messages.
+        expected: String,
+    },
     /// A half or a variance has other channels than its layer.
     #[error("its channels do not match those of the layer that it belongs to, '{of}'")]
     CompanionChannels {
@@ -271,6 +279,7 @@ impl LayerCause {
             Self::Missing { .. } => vec![Remedy::NameListedLayer],
             Self::NoColor { .. } => vec![Remedy::NameLayer],
             Self::FeatureChannels { .. } => vec![Remedy::SplitFeature],
+            Self::Resolution { .. } => vec![Remedy::RenderAlike],
             Self::DataWindow { .. } => vec![Remedy::RenderAlike, Remedy::SkipFeature],
             Self::CompanionChannels { .. } => vec![Remedy::MatchChannels],
             Self::NeedsSamples { .. } => vec![Remedy::GiveSamples],

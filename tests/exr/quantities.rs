@@ -81,6 +81,23 @@ fn a_fraction_of_the_samples_in_the_header_becomes_a_count() {
 }
 
 #[test]
+fn the_rules_of_a_layout_come_before_usual_names() {
+    let folder = folder();
+    let part = Part::new()
+        .with("sky.beauty", "RGB", 1.0)
+        .with("sky.beauty_var", "RGB", 16.0)
+        .attribute("ours.sky.spp", AttributeValue::I32(16));
+    let input = write(folder.path(), "in.exr", vec![part]);
+    let layout = folder.path().join("ours.toml");
+    let document = "title = \"Ours\"\n[samples]\nattributes = [\"ours.{group}spp\"]\n[[layer]]\n\
+                    name = \"{group}beauty\"\nrole = \"color\"\n[[layer]]\nname = \"{group}beauty_var\"\n\
+                    role = \"color\"\nquantity = \"variance of one sample\"\n";
+    std::fs::write(&layout, document).unwrap();
+    let asked = BufferSetRequest { layout: Some(layout.to_str().unwrap().into()), ..request(&input) };
+    assert_eq!(BufferSet::read(&asked).unwrap().color().variance_of_mean.unwrap().planes[0][0], 1.0);
+}
+
+#[test]
 fn a_layout_of_the_users_own_is_read_from_a_file() {
     let folder = folder();
     let part = Part::new().with("bild", "RGB", 1.0).with("farbe", "RGB", 2.0).with("bild_rauschen", "RGB", 3.0);

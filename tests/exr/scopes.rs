@@ -109,6 +109,38 @@ fn a_cropped_feature_is_padded_with_misses_and_a_larger_one_is_cropped() {
 }
 
 #[test]
+fn parts_that_are_views_may_have_any_name() {
+    let folder = folder();
+    let mut image = image_of(
+        vec![Part::named("l").with("", "RGB", 1.0), Part::named("r").with("", "RGB", 5.0)],
+        IntegerBounds::from_dimensions(SIZE),
+    );
+    image.layer_data[0].attributes.view_name = Some("left".into());
+    image.layer_data[1].attributes.view_name = Some("right".into());
+    let input = folder.path().join("in.exr");
+    image.write().to_file(&input).unwrap();
+    assert_eq!(read(&input).pictures().collect::<Vec<_>>(), ["l", "r"]);
+}
+
+#[test]
+fn another_resolution_is_no_crop() {
+    let folder = folder();
+    let input = write(folder.path(), "in.exr", vec![Part::new().with("", "RGB", 1.0)]);
+    let large = Part { size: (10, 6), ..Part::new() }.with("", "RGB", 2.0);
+    let file = LayerRef::whole(write(folder.path(), "large.exr", vec![large]));
+    let features = vec![("albedo".to_owned(), file.clone())];
+    for message in [
+        failure(&BufferSetRequest { features, ..request(&input) }),
+        read(&input).read_reference(0, &file).unwrap_err().to_string(),
+        failure(&BufferSetRequest { seeds: vec![file.file.clone()], ..request(&input) }),
+    ] {
+        for words in ["large.exr", "another resolution", "10×6", "5×3"] {
+            assert!(message.contains(words), "{message}");
+        }
+    }
+}
+
+#[test]
 fn halves_elsewhere_are_refused_with_both_windows() {
     let folder = folder();
     let input = write(folder.path(), "in.exr", vec![Part { position: (-17, -9), ..Part::new() }.with("", "RGB", 1.0)]);

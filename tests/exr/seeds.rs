@@ -124,6 +124,57 @@ fn files_that_are_no_seeds_of_one_frame_are_refused() {
 }
 
 #[test]
+fn values_that_are_not_finite_leave_the_pixel_to_the_other_seeds() {
+    let folder = folder();
+    let mut damaged = render(3.0, 8);
+    for (name, samples) in &mut damaged.channels {
+        if let ("R", FlatSamples::F32(values)) = (name.as_str(), samples) {
+            values[7] = f32::NAN;
+        }
+    }
+    let set = merged(folder.path(), vec![render(1.0, 8), damaged]).unwrap();
+    let color = set.color();
+    assert_eq!((color.mean.planes[0][7], color.mean.planes[0][6]), (rgb(1.0).planes[0][7], rgb(2.0).planes[0][6]));
+    assert!(color.half_a.unwrap().planes[0][7].is_finite() && color.half_b.unwrap().planes[0][7].is_finite());
+    assert!(set.notes().iter().any(|note| note.contains("1 values of the colour are not finite")), "{:?}", set.notes());
+    let nothing = Part::new().with("", "RGBA", f32::NAN);
+    let message = merged(folder.path(), vec![render(1.0, 8), nothing]).map(drop).unwrap_err().to_string();
+    assert!(message.contains("1.exr") && message.contains("usable value"), "{message}");
+}
+
+#[test]
+fn files_beside_seeds_are_merged_with_the_same_files_beside_the_input() {
+    let folder = folder();
+    let one = |name: &str, suffixes: &str, start: f32| {
+        write(folder.path(), name, vec![Part::new().with("", suffixes, start)]);
+    };
+    for (set, start) in [("a_", 1.0), ("b_", 3.0)] {
+        one(&format!("{set}color.exr"), "RGB", start);
+        one(&format!("{set}colorVariance.exr"), "RGB", 10.0 * start);
+        one(&format!("{set}albedo.exr"), "RGB", 20.0 * start);
+        one(&format!("{set}albedoVariance.exr"), "RGB", 30.0 * start);
+    }
+    let at = |name: &str| folder.path().join(name);
+    let seeds = || BufferSetRequest { seeds: vec![at("b_color.exr")], samples: Some(8), ..request(&at("a_color.exr")) };
+    let set = BufferSet::read(&seeds()).unwrap();
+    let quarter = |sum: f32| (sum + 2.0 * 7.0) / 4.0;
+    assert_eq!(set.color().variance_of_mean.unwrap().planes[0][7], quarter(40.0));
+    let (_, albedo) = set.features().next().unwrap();
+    assert_eq!(albedo.mean, rgb(40.0));
+    assert_eq!(albedo.variance_of_mean.unwrap().planes[0][7], quarter(120.0));
+    assert!(albedo.half_a.is_some());
+    for name in ["a_albedo.exr", "b_albedo.exr", "b_albedoVariance.exr"] {
+        assert!(set.files().any(|file| file == at(name)), "{name}");
+    }
+    // Without the variance of one seed there is none, and that is said.
+    std::fs::remove_file(at("b_albedoVariance.exr")).unwrap();
+    let set = BufferSet::read(&seeds()).unwrap();
+    assert!(set.color().variance_of_mean.is_some());
+    assert_eq!(set.features().next().unwrap().1.variance_of_mean, None);
+    assert!(set.notes().iter().any(|note| note.contains("feature albedo") && note.contains("lacks its variance")));
+}
+
+#[test]
 fn half_floats_stay_half_floats() {
     let folder = folder();
     let half = |seed: f32| {

@@ -134,7 +134,7 @@ fn broken_files_are_told_and_the_window_goes_on() {
     harness.state_mut().open(Source::whole(testdata("cornell_8spp.exr"), Some(reference)));
     settle(&mut harness);
     harness.get_by_label_contains("reference.0001.exr, layer");
-    assert!(harness.state().trouble.as_ref().unwrap().1.to_string().contains("its data window is"));
+    assert!(harness.state().trouble.as_ref().unwrap().1.to_string().contains("another resolution"));
 }
 
 #[test]

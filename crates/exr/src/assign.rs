@@ -8,11 +8,11 @@ mod noise;
 use std::path::{Path, PathBuf};
 
 use crate::buffer_set::BufferSet;
-use crate::classify::{Classified, LayerId, Meaning, Scope, classify};
+use crate::classify::{Classified, LayerId, Meaning, Rules, Scope, classify};
 use crate::counts;
 use crate::file::ExrFile;
 use crate::layers::{self, FileLayer};
-use crate::layout::{Layout, Recognised, RoleName, Rule, native, recognise};
+use crate::layout::{Layout, Recognised, RoleName, Rule, recognise};
 use crate::picture_file::PngEncoding;
 use crate::request::BufferSetRequest;
 use crate::seeds::{self, Reading};
@@ -57,6 +57,9 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
     }
     files.check_skipped(request)?;
 
+    // Layers of files beside the input are nowhere else named.
+    let beside = left_out.iter().filter(|it| it.id.file > 0);
+    files.notes.extend(beside.map(|it| format!("not used: {}: {}", text::path(&it.path), it.cause)));
     let mut notes: Vec<Note> = left_out.into_iter().map(LeftOut::into_note).collect();
     notes.append(&mut files.layer_notes);
     notes.extend(files.orphans());
@@ -68,6 +71,7 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
         notes: files.notes,
         siblings,
         seeds: Vec::new(),
+        seed_files: Vec::new(),
         stale: Vec::new(),
         png_encoding: request.png_encoding,
         layer_uses: Vec::new(),
@@ -82,7 +86,7 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
         };
         seeds::merge(&mut set, request, &reading)?;
     }
-    set.layer_uses = layer_uses(&set, &files.classified, &files.rules, &notes);
+    set.layer_uses = layer_uses(&set, &files.classified, &files.rules.list, &notes);
     Ok(set)
 }
 
@@ -114,8 +118,7 @@ impl LeftOut {
 struct Files {
     list: Vec<ExrFile>,
     classified: Vec<Classified>,
-    /// Rules of the layout, and behind them those of the native layout, which knows the usual names.
-    rules: Vec<Rule>,
+    rules: Rules,
     /// Meaning of the values in PNG files.
     png_encoding: PngEncoding,
     /// Remarks on files.
@@ -130,13 +133,7 @@ struct Files {
 
 impl Files {
     fn new(input: ExrFile, recognised: &Recognised) -> Self {
-        let mut rules = recognised.layout.rules.clone();
-        let native = native();
-        if recognised.layout.name() != native.name() {
-            // Files beside the input are named by the layout alone.
-            rules.extend(native.rules.iter().filter(|rule| rule.files.is_empty()).cloned());
-        }
-        rules.push(Rule::of_ids());
+        let rules = Rules::of(&recognised.layout);
         let classified = vec![classify(&rules, &input, 0, None)];
         Self {
             list: vec![input],
@@ -188,7 +185,7 @@ impl Files {
     }
 
     fn rule(&self, id: LayerId) -> Option<&Rule> {
-        self.meaning(id).map(|meaning| &self.rules[meaning.rank.rule])
+        self.meaning(id).map(|meaning| &self.rules.list[meaning.rank.rule])
     }
 
     fn scope(&self, id: LayerId) -> Scope {

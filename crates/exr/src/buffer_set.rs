@@ -37,6 +37,8 @@ pub struct BufferSet {
     pub(crate) siblings: Vec<PathBuf>,
     /// Renders of the same frame with other seeds, which were merged with the input.
     pub(crate) seeds: Vec<PathBuf>,
+    /// Files that were found beside the seeds.
+    pub(crate) seed_files: Vec<PathBuf>,
     /// Layers of the input that an output leaves out, because they belong to one seed alone.
     pub(crate) stale: Vec<usize>,
     /// Meaning of the values in PNG files.
@@ -77,7 +79,8 @@ impl BufferSet {
 
     /// Returns all files that were read.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
-        self.files.iter().map(|file| file.path.as_path()).chain(self.seeds.iter().map(PathBuf::as_path))
+        let of_seeds = self.seeds.iter().chain(&self.seed_files).map(PathBuf::as_path);
+        self.files.iter().map(|file| file.path.as_path()).chain(of_seeds)
     }
 
     /// Returns remarks on the files.
@@ -227,24 +230,17 @@ impl BufferSet {
         let layer = assign::same_or_color(&file, like, self.pictures.len() == 1, reference.layer.as_deref())?;
         let part = file.layers[layer].part;
         let own = source::window_of(&file, part, window);
-        let has_windows = file.has_windows && self.files[0].has_windows;
-        let is_same = match has_windows {
-            true => file.display_window().extent == self.display_window().extent,
-            false => own.extent == window.extent,
-        };
-        if is_same && source::covers(own, window) {
+        let refuse =
+            |cause| Err(Error::Layer { path: reference.file.clone(), layer: file.layers[layer].title(), cause });
+        if let Some(cause) = source::other_resolution(&self.files[0], window, &file, part) {
+            return refuse(cause);
+        }
+        if source::covers(own, window) {
             let image = file.planes(part, &assign::color_channels(&file, layer)?);
             return Ok(source::aligned(image, own, window, 0.0));
         }
-        Err(Error::Layer {
-            path: reference.file.clone(),
-            layer: file.layers[layer].name.clone(),
-            cause: LayerCause::DataWindow {
-                found: own.to_string(),
-                expected: window.to_string(),
-                color_file: self.input().to_owned(),
-            },
-        })
+        let (found, expected) = (own.to_string(), window.to_string());
+        refuse(LayerCause::DataWindow { found, expected, color_file: self.input().to_owned() })
     }
 
     fn settle(&self, picture: usize, color: RawSignal) -> Result<(Frame, Repairs)> {

@@ -4,7 +4,7 @@ use exr::prelude::SampleType;
 
 use crate::file::ExrFile;
 use crate::layers::FileLayer;
-use crate::layout::{Breadth, Quantity, RoleName, Rule};
+use crate::layout::{Breadth, Layout, Quantity, RoleName, Rule, native};
 use crate::names;
 
 /// A layer of one of the files.
@@ -14,10 +14,51 @@ pub(crate) struct LayerId {
     pub(crate) layer: usize,
 }
 
+/// The rules by which layers are read.
+#[derive(Clone, Debug)]
+pub(crate) struct Rules {
+    pub(crate) list: Vec<Rule>,
+    /// Number of rules of the layout itself. Those of the native layout, which knows the usual names, come behind.
+    own: usize,
+}
+
+impl Rules {
+    pub(crate) fn of(layout: &Layout) -> Self {
+        let mut list = layout.rules.clone();
+        let native = native();
+        if layout.name() != native.name() {
+            // Files beside the input are named by the layout alone.
+            list.extend(native.rules.iter().filter(|rule| rule.files.is_empty()).cloned());
+        }
+        list.push(Rule::of_ids());
+        Self { list, own: layout.rules.len() }
+    }
+
+    /// Returns the position of the rule for layers that the header lists as numbers of objects.
+    fn of_ids(&self) -> usize {
+        self.list.len() - 1
+    }
+
+    /// Returns the step in which a pattern of a rule is compared. The layout comes first, but a pattern of it that fits
+    /// many names comes behind names that say more.
+    fn step(&self, rule: usize, breadth: Breadth) -> usize {
+        match (rule < self.own, breadth) {
+            (true, Breadth::Named | Breadth::OfAnother) => 0,
+            (false, Breadth::OfAnother) => 1,
+            (true, Breadth::Similar) => 2,
+            (false, _) => 3,
+            (true, Breadth::Any) => 4,
+        }
+    }
+}
+
+const STEPS: usize = 5;
+
 /// How well a rule fits: smaller ranks are preferred.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Rank {
-    pub(crate) breadth: Breadth,
+    /// Step in which the rule was found.
+    pub(crate) step: usize,
     /// Position of the rule.
     pub(crate) rule: usize,
     /// Position of the pattern in the rule.
@@ -58,7 +99,7 @@ pub(crate) struct Classified {
 
 /// Finds the rule for each layer of a file. `index` is the position of the file in the set. Layers may describe layers
 /// of `input`, if the file belongs to it.
-pub(crate) fn classify(rules: &[Rule], file: &ExrFile, index: usize, input: Option<&ExrFile>) -> Classified {
+pub(crate) fn classify(rules: &Rules, file: &ExrFile, index: usize, input: Option<&ExrFile>) -> Classified {
     let mut classified = Classified::default();
     for (layer, own) in file.layers.iter().enumerate() {
         // Results of an earlier run.
@@ -73,17 +114,22 @@ pub(crate) fn classify(rules: &[Rule], file: &ExrFile, index: usize, input: Opti
         }
         classified.meanings.push(meaning);
     }
-    // The own layer of a part is plain `R G B` if the part is a picture of its own and its name means nothing, as in
-    // parts called `left` and `right`; but not beside a part that is called `beauty`.
-    let is_own = |layer: &FileLayer| layer.is_own && layer.scope_part.is_some();
-    let is_color = |(own, meaning): (&FileLayer, &Option<Meaning>)| {
-        is_own(own) && meaning.as_ref().is_some_and(|meaning| meaning.is_mean_of(|role| role == RoleName::Color))
-    };
-    if !file.layers.iter().zip(&classified.meanings).any(is_color) {
-        for (layer, _) in file.layers.iter().enumerate().filter(|(_, own)| is_own(own)) {
-            if classified.meanings[layer].is_none() {
-                classified.meanings[layer] = meaning(rules, (file, index), input, layer, "", &mut None);
-            }
+    // The own layer of a part is plain `R G B` if the part is a picture or a view of its own and its name means nothing,
+    // as in parts called `left` and `right`; but not beside a part of the same view that is called `beauty`.
+    let may_be_plain = |layer: &FileLayer| layer.is_own && (layer.scope_part.is_some() || layer.view.is_some());
+    let named: Vec<Option<String>> = file
+        .layers
+        .iter()
+        .zip(&classified.meanings)
+        .filter(|(own, meaning)| {
+            let is_color = |meaning: &Meaning| meaning.is_mean_of(|role| role == RoleName::Color);
+            may_be_plain(own) && meaning.as_ref().is_some_and(is_color)
+        })
+        .map(|(own, _)| own.view.clone())
+        .collect();
+    for (layer, own) in file.layers.iter().enumerate().filter(|(_, own)| may_be_plain(own)) {
+        if classified.meanings[layer].is_none() && !named.contains(&own.view) {
+            classified.meanings[layer] = meaning(rules, (file, index), input, layer, "", &mut None);
         }
     }
     // The header says which layers are of cryptomatte, whatever they are called.
@@ -91,9 +137,9 @@ pub(crate) fn classify(rules: &[Rule], file: &ExrFile, index: usize, input: Opti
         for (layer, own) in file.layers.iter().enumerate() {
             let rank = own.name.strip_prefix(&name).or_else(|| own.key.strip_prefix(&name));
             if rank.is_some_and(|rank| rank.chars().all(|digit| digit.is_ascii_digit())) {
-                let rule = rules.len() - 1;
+                let rule = rules.of_ids();
                 let rank = Rank { rule, ..Rank::default() };
-                classified.meanings[layer] = Some(Meaning::new(rank, &rules[rule], String::new(), None));
+                classified.meanings[layer] = Some(Meaning::new(rank, &rules.list[rule], String::new(), None));
             }
         }
     }
@@ -101,31 +147,29 @@ pub(crate) fn classify(rules: &[Rule], file: &ExrFile, index: usize, input: Opti
 }
 
 fn meaning(
-    rules: &[Rule],
+    rules: &Rules,
     (file, index): (&ExrFile, usize),
     input: Option<&ExrFile>,
     layer: usize,
     key: &str,
     orphan: &mut Option<String>,
 ) -> Option<Meaning> {
-    // A layout may give a meaning to any other layer, but a name that says more comes first, also if only the usual names
-    // have it.
-    Breadth::ALL.into_iter().find_map(|breadth| fitting(rules, (file, index), input, layer, key, breadth, &mut *orphan))
+    (0..STEPS).find_map(|step| fitting(rules, (file, index), input, layer, key, step, &mut *orphan))
 }
 
 fn fitting(
-    rules: &[Rule],
+    rules: &Rules,
     (file, index): (&ExrFile, usize),
     input: Option<&ExrFile>,
     layer: usize,
     key: &str,
-    breadth: Breadth,
+    step: usize,
     orphan: &mut Option<String>,
 ) -> Option<Meaning> {
     let own = &file.layers[layer];
-    let named = rules.iter().enumerate().filter(|(_, rule)| rule.files.is_empty() && rule.fits_channels(own));
+    let named = rules.list.iter().enumerate().filter(|(_, rule)| rule.files.is_empty() && rule.fits_channels(own));
     for (position, rule) in named {
-        let names = rule.names.iter().enumerate().filter(|(_, name)| name.breadth() == breadth);
+        let names = rule.names.iter().enumerate().filter(|(_, name)| rules.step(position, name.breadth()) == step);
         for (pattern, fit) in names.filter_map(|(index, name)| Some((index, name.fit(key)?))) {
             let of = match fit.of {
                 None => None,
@@ -141,7 +185,7 @@ fn fitting(
                     }
                 },
             };
-            return Some(Meaning::new(Rank { breadth, rule: position, pattern }, rule, fit.group, of));
+            return Some(Meaning::new(Rank { step, rule: position, pattern }, rule, fit.group, of));
         }
     }
     None

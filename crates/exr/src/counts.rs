@@ -74,11 +74,16 @@ pub(crate) fn known(
 
 /// Returns the number in the header, for the picture of this part and group or for the whole file.
 pub(crate) fn in_header(file: &ExrFile, part: usize, layout: &Layout, group: &str) -> Option<f32> {
-    let names = layout.sample_attributes(group).chain(USUAL_ATTRIBUTES.map(str::to_owned));
+    let mut names = attributes(layout, group);
     let number = |name: String| {
         // Blender writes the numbers of all view layers into the header of the first part.
         let mut parts = std::iter::once(part).chain(0..file.parts());
         parts.find_map(|part| file.number_attribute(part, &name))
     };
-    names.filter_map(number).find(|count| *count > 0.0)
+    names.find_map(|name| number(name).filter(|count| *count > 0.0))
+}
+
+/// Returns the names of the header attributes that may hold the samples per pixel.
+pub(crate) fn attributes(layout: &Layout, group: &str) -> impl Iterator<Item = String> {
+    layout.sample_attributes(group).chain(USUAL_ATTRIBUTES.map(str::to_owned))
 }

@@ -262,6 +262,25 @@ impl ExrFile {
         }
     }
 
+    /// Replaces a number that the header stores under `name`, wherever it does.
+    pub(crate) fn set_number_attribute(&mut self, name: &str, number: f32) {
+        let Some(key) = Text::new_or_none(name) else { return };
+        let parts = self.image.layer_data.iter_mut().map(|layer| &mut layer.attributes.other);
+        for attributes in parts.chain([&mut self.image.attributes.other]) {
+            if let Some(value) = attributes.get_mut(&key) {
+                match value {
+                    AttributeValue::Text(text) => {
+                        *text = Text::from_slice_unchecked(number.to_string().as_bytes());
+                    }
+                    AttributeValue::I32(value) => *value = number as i32,
+                    AttributeValue::F32(value) => *value = number,
+                    AttributeValue::F64(value) => *value = number.into(),
+                    _ => {}
+                }
+            }
+        }
+    }
+
     /// Formats the names of the first layers, for messages.
     pub(crate) fn layer_list(&self) -> String {
         text::list(self.layers.iter().map(FileLayer::described))

@@ -124,7 +124,10 @@ impl Layout {
             .map_err(|error| refuse(format!("cannot be read: {error}"), "check the path and its permissions"))?;
         let stem = path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
         Self::parse(&stem, &document).map_err(|problem| {
-            refuse(format!("is no layout: {problem}"), "start from a built-in one, as `Layout::document` has it")
+            refuse(
+                format!("is no layout: {problem}"),
+                "start from a built-in one (`stein layouts --show NAME` prints it)",
+            )
         })
     }
 

@@ -5,17 +5,18 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use stein::error::{Error, FileCause, LayerCause, RequestCause, Result};
-use stein::frame::SamplesPerPixel;
+use stein::frame::{SamplesPerPixel, variance_from_image};
+use stein::image::{Extent, Image};
 use stein::text;
 
 use crate::buffer_set::BufferSet;
-use crate::classify::{Classified, Meaning, Scope, classify, is_whole_numbers};
+use crate::classify::{Classified, Meaning, Rules, Scope, classify, is_whole_numbers};
 use crate::counts;
 use crate::file::ExrFile;
 use crate::layout::{Layout, Quantity, RoleName, Rule};
 use crate::request::BufferSetRequest;
 use crate::siblings;
-use crate::source::{self, Planes};
+use crate::source::{self, Planes, VarianceSource};
 
 /// Header attributes that differ between frames and cameras, but not between seeds.
 const OF_ONE_FRAME: [&str; 5] = ["Frame", "Camera", "Scene", "frame", "camera"];
@@ -23,7 +24,7 @@ const OF_ONE_FRAME: [&str; 5] = ["Frame", "Camera", "Scene", "frame", "camera"];
 /// How the set was read.
 pub(crate) struct Reading<'a> {
     pub(crate) layout: &'a Layout,
-    pub(crate) rules: &'a [Rule],
+    pub(crate) rules: &'a Rules,
     /// Meanings of the layers in the set's files.
     pub(crate) classified: &'a [Classified],
     /// Positions of the files that belong to the input.
@@ -62,6 +63,19 @@ pub(crate) fn merge(set: &mut BufferSet, request: &BufferSetRequest, reading: &R
         return Ok(());
     }
     set.seeds = seeds.iter().map(|seed| seed.main().path.clone()).collect();
+    set.seed_files = seeds.iter().flat_map(|seed| seed.files.values().skip(1)).map(|file| file.path.clone()).collect();
+    set.notes.extend(seeds.iter().flat_map(|seed| seed.notes.clone()));
+    for picture in &set.pictures {
+        for seed in &seeds {
+            let Some((part, channels)) = same_layer(&set.files[0], seed.main(), &picture.color.mean) else { continue };
+            let planes = seed.main().planes(part, &channels).planes;
+            let damaged = planes.iter().flatten().filter(|value| !value.is_finite()).count();
+            if damaged > 0 {
+                let path = text::path(&seed.main().path);
+                set.notes.push(format!("{path}: {damaged} values of the colour are not finite and do not count"));
+            }
+        }
+    }
     let mut merger = Merger::new(&seeds, request, reading);
     merger.halves(set);
     merger.average(set);
@@ -74,6 +88,8 @@ struct Seed {
     /// The counterparts of the set's own files, by the positions of these.
     files: BTreeMap<usize, ExrFile>,
     classified: Classified,
+    /// Remarks on files beside it that cannot be used.
+    notes: Vec<String>,
 }
 
 impl Seed {
@@ -88,31 +104,50 @@ impl Seed {
         check_is_seed(set, others, &main)?;
         let classified = classify(reading.rules, &main, 0, None);
         let mut files = BTreeMap::from([(0, main)]);
+        let mut notes = Vec::new();
         if !request.no_siblings {
-            // The same rules find the files beside the seed, in the same order.
-            let own = siblings::find(reading.rules, set.input(), reading.layout.stem_of(set.input()).as_deref());
-            let found = siblings::find(reading.rules, path, reading.layout.stem_of(path).as_deref());
+            let find =
+                |input: &Path| siblings::find(&reading.rules.list, input, reading.layout.stem_of(input).as_deref());
+            let (own, found) = (find(set.input()), find(path));
+            // A file is known by its rule and by the rule of the file that it describes.
             let place = |of: Option<&PathBuf>, all: &[siblings::Sibling]| {
                 of.and_then(|of| all.iter().find(|it| it.path == *of)).map(|it| it.rule)
             };
-            for sibling in own {
+            for sibling in &own {
                 let is_counterpart = |it: &&siblings::Sibling| {
-                    it.rule == sibling.rule && place(it.of.as_ref(), &found) == place(sibling.of.as_ref(), &found)
+                    it.rule == sibling.rule && place(it.of.as_ref(), &found) == place(sibling.of.as_ref(), &own)
                 };
                 let index = set.files.iter().position(|file| file.path == sibling.path);
                 let counterpart = found.iter().find(is_counterpart).filter(|it| it.path != sibling.path);
-                if let (Some(index), Some(counterpart)) = (index, counterpart)
-                    && let Ok(file) = ExrFile::read(&counterpart.path, request.png_encoding)
-                {
-                    files.insert(index, file);
+                let (Some(index), Some(counterpart)) = (index, counterpart) else { continue };
+                if files.contains_key(&index) {
+                    continue;
+                }
+                match beside_seed(set, index, &counterpart.path, request) {
+                    Ok(file) => drop(files.insert(index, file)),
+                    Err(error) => notes.push(format!("not used: {error}")),
                 }
             }
         }
-        Ok(Self { files, classified })
+        Ok(Self { files, classified, notes })
     }
 
     fn main(&self) -> &ExrFile {
         &self.files[&0]
+    }
+}
+
+/// Reads the counterpart of a file beside the input, which shows the same frame in the same resolution.
+fn beside_seed(set: &BufferSet, index: usize, path: &Path, request: &BufferSetRequest) -> Result<ExrFile> {
+    let file = ExrFile::read(path, request.png_encoding)?;
+    if let Some(reason) = other_frame(&set.files[0], &file) {
+        let cause = FileCause::OtherFrame { of: set.input().to_owned(), reason };
+        return Err(Error::File { path: path.to_owned(), cause });
+    }
+    let own = &set.files[index];
+    match source::other_resolution(own, own.data_window(0), &file, 0) {
+        Some(cause) => Err(Error::Layer { path: path.to_owned(), layer: file.layers[0].title(), cause }),
+        None => Ok(file),
     }
 }
 
@@ -129,6 +164,9 @@ fn check_is_seed(set: &BufferSet, others: &[Seed], seed: &ExrFile) -> Result<()>
     for picture in &set.pictures {
         let planes = &picture.color.mean;
         let layer = &input.layers[planes.layer];
+        if let Some(cause) = source::other_resolution(input, input.data_window(layer.part), seed, 0) {
+            return Err(Error::Layer { path: seed.path.clone(), layer: layer.title(), cause });
+        }
         let Some(found) = same_layer(input, seed, planes) else {
             let cause = LayerCause::Missing { layers: seed.layers_like(&layer.name) };
             return Err(Error::Layer { path: seed.path.clone(), layer: layer.title(), cause });
@@ -140,6 +178,9 @@ fn check_is_seed(set: &BufferSet, others: &[Seed], seed: &ExrFile) -> Result<()>
             return Err(Error::Layer { path: seed.path.clone(), layer: layer.title(), cause });
         }
         let color = seed.planes(found.0, &found.1);
+        if !color.planes.iter().flatten().any(|value| value.is_finite()) {
+            return not_a_seed("not one of its pixels has a usable value".into());
+        }
         // Pictures without any noise are the same for all seeds.
         if color.planes.iter().all(|plane| plane.iter().all(|value| *value == plane[0])) {
             continue;
@@ -229,16 +270,12 @@ impl Weights {
     }
 
     /// Merges a channel of all seeds, pixel by pixel. Values that say nothing do not count if others do.
-    fn merged(
-        &self,
-        planes: &[Vec<f32>],
-        says_nothing: impl Fn(f32) -> bool + Send + Sync,
-    ) -> impl IndexedParallelIterator<Item = Merged> {
+    fn merged(&self, planes: &[Vec<f32>], nothing: &Nothing) -> impl IndexedParallelIterator<Item = Merged> {
         let pixels = planes.first().map_or(0, Vec::len);
-        (0..pixels).into_par_iter().map(move |pixel| self.merged_at(planes, pixel, &says_nothing))
+        (0..pixels).into_par_iter().map(move |pixel| self.merged_at(planes, pixel, nothing))
     }
 
-    fn merged_at(&self, planes: &[Vec<f32>], pixel: usize, says_nothing: &impl Fn(f32) -> bool) -> Merged {
+    fn merged_at(&self, planes: &[Vec<f32>], pixel: usize, nothing: &Nothing) -> Merged {
         let seeds = || 0..planes.len();
         let own_count = |seed: usize| self.count(seed, pixel).max(0.0);
         // Where no seed has samples, all count the same.
@@ -248,7 +285,7 @@ impl Weights {
         let mut squares = 0.0;
         for seed in seeds() {
             let value = planes[seed][pixel];
-            if value.is_finite() && !says_nothing(value) {
+            if value.is_finite() && !nothing.is_said(seed, pixel, value) {
                 let half = &mut halves[usize::from(!self.in_a[seed])];
                 *half = (half.0 + count(seed) * f64::from(value), half.1 + count(seed));
                 squares += count(seed) * count(seed) * f64::from(value);
@@ -260,16 +297,11 @@ impl Weights {
             // A value that a seed with samples has, such as the distance of a miss.
             let seed = seeds().find(|seed| count(*seed) > 0.0).unwrap_or(0);
             let value = f64::from(planes[seed][pixel]);
-            return Merged { mean: value, spread: 0.0, of_squares: value };
+            return Merged { mean: value, spread: Some(0.0), of_squares: value };
         }
-        // Where one half has no samples, nothing is known of the noise; pixels around tell it.
         let has_both = count_a > 0.0 && count_b > 0.0;
-        let spread = (sum_a / count_a - sum_b / count_b) * (count_a * count_b).sqrt() / all;
-        Merged {
-            mean: (sum_a + sum_b) / all,
-            spread: if has_both { spread } else { 0.0 },
-            of_squares: squares / (all * all),
-        }
+        let spread = || (sum_a / count_a - sum_b / count_b) * (count_a * count_b).sqrt() / all;
+        Merged { mean: (sum_a + sum_b) / all, spread: has_both.then(spread), of_squares: squares / (all * all) }
     }
 
     fn total(&self) -> SamplesPerPixel {
@@ -299,10 +331,49 @@ impl Weights {
 /// Values of all seeds in one.
 struct Merged {
     mean: f64,
-    /// `(A − B)·√(n_A·n_B)/n`: see [`stein::frame::Signal::half_spread`].
-    spread: f64,
+    /// `(A − B)·√(n_A·n_B)/n`: see [`stein::frame::Signal::half_spread`]. `None` where one half has no value.
+    spread: Option<f64>,
     /// Σ n_i²·x_i/n², the merged variance of means.
     of_squares: f64,
+}
+
+/// Whether a colour or a feature is made of a layer.
+fn is_used(set: &BufferSet, planes: &Planes) -> bool {
+    set.pictures.iter().flat_map(|picture| picture.signals()).any(|signal| {
+        let of_variance = signal.variance.as_ref().map(|variance| &variance.planes);
+        let used = [Some(&signal.mean), of_variance].into_iter().flatten();
+        used.into_iter().any(|used| (used.file, used.layer) == (planes.file, planes.layer))
+    })
+}
+
+/// Returns the deviation of each pixel as it shows in the image, if the spread of some pixel is not known.
+fn guessed_spreads(merged: &[Merged], extent: Extent) -> Option<Vec<f32>> {
+    if merged.iter().all(|merged| merged.spread.is_some()) {
+        return None;
+    }
+    let mean = Image { extent, planes: vec![merged.iter().map(|merged| merged.mean as f32).collect()] };
+    let variance = variance_from_image(&mean)?;
+    Some(variance.planes[0].iter().map(|variance| variance.max(0.0).sqrt()).collect())
+}
+
+/// Values that say nothing.
+enum Nothing {
+    /// All finite values say something.
+    None,
+    /// For each seed, whether its ray hit nothing in a pixel: all channels have the value of a miss.
+    Misses(Vec<Vec<bool>>),
+    /// This variance is not known.
+    Value(f32),
+}
+
+impl Nothing {
+    fn is_said(&self, seed: usize, pixel: usize, value: f32) -> bool {
+        match self {
+            Self::None => false,
+            Self::Misses(misses) => misses[seed][pixel],
+            Self::Value(unknown) => value == *unknown,
+        }
+    }
 }
 
 /// The values of a layer in the input and in all seeds, in the window of the input's layer.
@@ -387,7 +458,7 @@ impl<'a> Merger<'a> {
     }
 
     fn rule(&self, planes: &Planes) -> Option<&Rule> {
-        self.meaning(planes).map(|meaning| &self.reading.rules[meaning.rank.rule])
+        self.meaning(planes).map(|meaning| &self.reading.rules.list[meaning.rank.rule])
     }
 
     /// Returns the value of pixels outside of a seed's data window: a ray that hit nothing.
@@ -398,11 +469,21 @@ impl<'a> Merger<'a> {
         miss.unwrap_or(if is_distance { f32::INFINITY } else { 0.0 })
     }
 
-    /// Returns whether a value of a layer says nothing: a distance where nothing was hit, an unknown variance.
-    fn says_nothing(&self, planes: &Planes) -> impl Fn(f32) -> bool + use<> {
-        let rule = self.rule(planes);
-        let nothing = rule.and_then(|rule| rule.miss.or(rule.unknown));
-        move |value: f32| Some(value) == nothing
+    /// Returns the values of a layer that say nothing: of a distance where nothing was hit, of a variance that is not
+    /// known.
+    fn nothing(&self, planes: &Planes, column: &Column) -> Nothing {
+        let Some(rule) = self.rule(planes) else { return Nothing::None };
+        match (rule.miss, rule.unknown) {
+            (Some(miss), _) => {
+                let is_miss =
+                    |seed: usize, pixel: usize| column.channels.iter().all(|(_, values)| values[seed][pixel] == miss);
+                let pixels = column.channels.first().map_or(0, |(_, values)| values[0].len());
+                let of_seed = |seed: usize| (0..pixels).map(|pixel| is_miss(seed, pixel)).collect();
+                Nothing::Misses((0..=self.seeds.len()).map(of_seed).collect())
+            }
+            (None, Some(unknown)) => Nothing::Value(unknown),
+            (None, None) => Nothing::None,
+        }
     }
 
     /// Makes the halves of all colours and features of the seeds as they are.
@@ -463,7 +544,7 @@ impl<'a> Merger<'a> {
         weights: usize,
         first_half: usize,
     ) -> [Planes; 2] {
-        let says_nothing = self.says_nothing(planes);
+        let nothing = self.nothing(planes, column);
         let weights = &self.weights[weights];
         if self.halves.is_empty() {
             for own in self.reading.own_files {
@@ -484,9 +565,15 @@ impl<'a> Merger<'a> {
         let at = first_half + 2 * order;
         let Some(halves) = self.halves.get_mut(&planes.file) else { unreachable!("it was just put there") };
         for (channel, values) in &column.channels {
-            let merged = weights.merged(values, &says_nothing);
-            let of_halves = |Merged { mean, spread, .. }: Merged| ((mean + spread) as f32, (mean - spread) as f32);
-            let (a, b) = merged.map(of_halves).unzip();
+            let merged: Vec<Merged> = weights.merged(values, &nothing).collect();
+            let window = set.files[planes.file].data_window(column.part);
+            let guessed = guessed_spreads(&merged, window.extent);
+            let spreads = merged.iter().enumerate().map(|(pixel, merged)| {
+                let guessed = guessed.as_ref().map_or(0.0, |guessed| f64::from(guessed[pixel]));
+                // Halves of neighbours are not related, so that the sign alternates.
+                (merged.mean, merged.spread.unwrap_or(if pixel % 2 == 0 { guessed } else { -guessed }))
+            });
+            let (a, b) = spreads.map(|(mean, spread)| ((mean + spread) as f32, (mean - spread) as f32)).unzip();
             halves[0].set_plane(column.part, *channel, a);
             halves[1].set_plane(column.part, *channel, b);
         }
@@ -510,23 +597,28 @@ impl<'a> Merger<'a> {
                 let column = match self.column(set, &planes) {
                     Ok(column) => column,
                     Err(lacking) => {
-                        let title = set.files[file].layers[layer].title();
-                        let (layer, lacking) = (text::name(&title), text::path(&lacking));
-                        self.notes.push(format!("layer {layer}: {lacking} lacks it, so that it is of the input alone"));
+                        // Remarks on colours, features and their noise are made with their halves.
+                        let own = &set.files[file];
+                        if !is_used(set, &planes) && file == 0 {
+                            let (layer, lacking) = (own.layers[layer].title(), text::path(&lacking));
+                            let layer = text::name(&layer);
+                            self.notes
+                                .push(format!("layer {layer}: {lacking} lacks it, so that it is of the input alone"));
+                        }
                         continue;
                     }
                 };
                 let weights = self.weights(set, &scope, part);
-                let (weights, says_nothing) = (&self.weights[weights], self.says_nothing(&planes));
+                let (weights, nothing) = (&self.weights[weights], self.nothing(&planes, &column));
                 for (channel, values) in &column.channels {
                     let merged: Vec<f32> = match quantity {
                         Quantity::Count => {
                             (0..values[0].len()).map(|pixel| values.iter().map(|plane| plane[pixel]).sum()).collect()
                         }
                         Quantity::VarianceOfMean => {
-                            weights.merged(values, &says_nothing).map(|all| all.of_squares as f32).collect()
+                            weights.merged(values, &nothing).map(|all| all.of_squares as f32).collect()
                         }
-                        _ => weights.merged(values, &says_nothing).map(|all| all.mean as f32).collect(),
+                        _ => weights.merged(values, &nothing).map(|all| all.mean as f32).collect(),
                     };
                     set.files[file].set_plane(column.part, *channel, merged);
                 }
@@ -539,13 +631,8 @@ impl<'a> Merger<'a> {
         if is_whole_numbers(&set.files[planes.file], planes.layer) {
             return None;
         }
-        let is_used = set.pictures.iter().flat_map(|picture| picture.signals()).any(|signal| {
-            let of_variance = signal.variance.as_ref().map(|variance| &variance.planes);
-            let used = [Some(&signal.mean), of_variance].into_iter().flatten();
-            used.into_iter().any(|used| (used.file, used.layer) == (planes.file, planes.layer))
-        });
         // A colour that no rule names, or a feature that no rule names but comes with a variance.
-        let Some(meaning) = self.meaning(planes) else { return Some(Quantity::Mean).filter(|_| is_used) };
+        let Some(meaning) = self.meaning(planes) else { return Some(Quantity::Mean).filter(|_| is_used(set, planes)) };
         let described = |meaning: &Meaning| {
             let of = meaning.of?;
             self.reading.classified[of.file].meanings[of.layer].as_ref()?.role
@@ -563,11 +650,33 @@ impl<'a> Merger<'a> {
     }
 
     fn finish(self, set: &mut BufferSet) {
+        let mut notes = self.notes;
         for picture in &mut set.pictures {
-            if let Some(weights) = self.weights.iter().find(|weights| weights.scope == picture.scope) {
-                picture.samples = weights.total();
-                picture.samples_layer = None;
+            let Some(weights) = self.weights.iter().find(|weights| weights.scope == picture.scope) else { continue };
+            picture.samples = weights.total();
+            picture.samples_layer = None;
+            if weights.is_known {
+                continue;
             }
+            let sources = std::iter::once(&mut picture.color).chain(picture.features.iter_mut().map(|(_, it)| it));
+            for source in sources {
+                let needs_count = |it: &VarianceSource| it.quantity != Quantity::VarianceOfMean;
+                if let Some(variance) = source.variance.take_if(|it| needs_count(it)) {
+                    let layer = set.files[variance.planes.file].layers[variance.planes.layer].title();
+                    notes.push(format!(
+                        "{}: it is a {}, and some seed does not say how many samples it has, so that it is not used",
+                        text::name(&layer),
+                        variance.quantity
+                    ));
+                }
+            }
+        }
+        if let (Some(picture), [weights]) = (set.pictures.first(), self.weights.as_slice())
+            && let SamplesPerPixel::Uniform(total) = weights.total()
+        {
+            // Readers of the output learn how many samples it has.
+            let names: Vec<String> = counts::attributes(self.reading.layout, &picture.scope.group).collect();
+            names.iter().for_each(|name| set.files[0].set_number_attribute(name, total));
         }
         if let Some(weights) = self.weights.first().filter(|_| self.seeds.len() > 1) {
             let paths: Vec<String> = std::iter::once(set.input().to_owned())
@@ -581,6 +690,6 @@ impl<'a> Merger<'a> {
             };
             set.notes.push(format!("half A is the mean of {}; half B of {}", of(true), of(false)));
         }
-        set.notes.extend(self.notes);
+        set.notes.extend(notes);
     }
 }

@@ -1,5 +1,6 @@
 //! Places of a picture's signals in the files, and how their values are brought to one meaning.
 
+use stein::error::LayerCause;
 use stein::frame::{RawSignal, SamplesPerPixel, fill_unknown_variance};
 use stein::image::{Image, Window};
 
@@ -191,6 +192,17 @@ pub(crate) fn overlap(a: Window, b: Window) -> u64 {
         ((a + i64::from(a_size)).min(b + i64::from(b_size)) - a.max(b)).max(0) as u64
     };
     side(a.x, a.extent.width, b.x, b.extent.width) * side(a.y, a.extent.height, b.y, b.extent.height)
+}
+
+/// Returns the cause if a part of `other` has another resolution than the picture `window` of `own`. Files without
+/// windows show the whole picture or its crop.
+pub(crate) fn other_resolution(own: &ExrFile, window: Window, other: &ExrFile, part: usize) -> Option<LayerCause> {
+    let (expected, found) = match own.has_windows && other.has_windows {
+        true => (own.display_window(), other.display_window()),
+        false => (window, other.data_window(part)),
+    };
+    let cause = || LayerCause::Resolution { found: found.extent.to_string(), expected: expected.extent.to_string() };
+    (expected.extent != found.extent).then(cause)
 }
 
 /// Returns the data window of a file's part as it relates to the picture's window: files without windows, such as PNG,

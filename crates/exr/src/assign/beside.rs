@@ -31,9 +31,10 @@ impl Files {
             return siblings;
         }
         let stem = recognised.stem.as_deref();
-        let found = siblings::find(&self.rules, &request.input, stem);
-        for sibling in found.into_iter().filter(|sibling| !request.seeds.contains(&sibling.path)) {
-            if self.rules[sibling.rule].role == Some(RoleName::Seed) {
+        let found = siblings::find(&self.rules.list, &request.input, stem);
+        // Files that the user names mean what the user says.
+        for sibling in found.into_iter().filter(|sibling| !request.files().any(|named| named == sibling.path)) {
+            if self.rules.list[sibling.rule].role == Some(RoleName::Seed) {
                 siblings.seeds.push(sibling.path);
                 continue;
             }
@@ -47,7 +48,7 @@ impl Files {
     }
 
     pub(super) fn open_sibling(&mut self, sibling: &Sibling, recognised: &Recognised, input: &Path) -> Result<()> {
-        let rule = self.rules[sibling.rule].clone();
+        let rule = self.rules.list[sibling.rule].clone();
         let has_more = rule.role == Some(RoleName::More);
         let index = match self.list.iter().position(|file| file.path == sibling.path) {
             Some(index) => index,

@@ -59,12 +59,17 @@ impl Files {
         let is_known = found.half_a.is_some() || found.variance.is_some() || has_seeds;
         // A half that was requested by name is not left out if the other half is missing.
         let is_named = found.half_a.is_none() && (request.half_a.is_some() || request.half_b.is_some());
-        if found.left_out.is_empty() || is_known && !is_named {
-            left_out.append(&mut found.left_out);
-            found.put_into(&mut picture.color);
-            return Ok(());
+        // Files beside the input were not asked for, but the samples may be all that is missing.
+        let is_beside = |file: usize| file > 0 && self.own_files.contains(&file);
+        let stops = |it: &LeftOut| !is_beside(it.id.file) || matches!(*it.cause, LayerCause::NeedsSamples { .. });
+        match found.left_out.iter().position(stops).filter(|_| !is_known || is_named) {
+            Some(first) => Err(found.left_out.swap_remove(first).into_error()),
+            None => {
+                left_out.append(&mut found.left_out);
+                found.put_into(&mut picture.color);
+                Ok(())
+            }
         }
-        Err(found.left_out.swap_remove(0).into_error())
     }
 
     /// Returns the planes of a requested half or variance of the colour `mean`.
@@ -123,12 +128,10 @@ impl Files {
     /// Refuses planes of a file with another resolution: its windows cannot be compared.
     pub(super) fn check_resolution(&self, planes: &Planes, window: Window) -> std::result::Result<(), LeftOut> {
         let (own, file) = (&self.list[0], &self.list[planes.file]);
-        let (display, other) = (own.display_window(), file.display_window());
-        let is_same = match own.has_windows && file.has_windows {
-            true => display.extent == other.extent,
-            false => file.data_window(file.layers[planes.layer].part).extent == window.extent,
-        };
-        if is_same { Ok(()) } else { Err(self.outside(planes, other, display)) }
+        match source::other_resolution(own, window, file, file.layers[planes.layer].part) {
+            None => Ok(()),
+            Some(cause) => Err(LeftOut::new(&self.list, LayerId { file: planes.file, layer: planes.layer }, cause)),
+        }
     }
 
     /// Refuses planes that do not cover the colour's pixels.
@@ -196,7 +199,7 @@ impl Companions {
     pub(super) fn add_orphans(&mut self, files: &Files, mean: &Planes, name: &str, samples: &SamplesPerPixel) {
         for (layer, of) in &files.classified[mean.file].orphans {
             let id = LayerId { file: mean.file, layer: *layer };
-            let quantity = files.rules.iter().find_map(|rule| {
+            let quantity = files.rules.list.iter().find_map(|rule| {
                 let is_it = |pattern: &crate::layout::Pattern| {
                     pattern.fit(&files.layer(id).key).is_some_and(|fit| fit.of.as_ref() == Some(of))
                 };

@@ -10,21 +10,17 @@ pub(crate) struct Pattern {
     regex: Regex,
 }
 
-/// How many names a pattern fits. Narrow patterns are compared first.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+/// How many names a pattern fits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Breadth {
-    /// Names made of the name of another layer that exists.
-    OfAnother,
-    /// Names that the pattern spells.
-    #[default]
+    /// The names that it spells.
     Named,
+    /// Names made of the name of another layer.
+    OfAnother,
+    /// Names that have a part in common.
+    Similar,
     /// Any name, or any name with so many dots.
     Any,
-}
-
-impl Breadth {
-    /// All, the narrowest first.
-    pub(crate) const ALL: [Self; 3] = [Self::OfAnother, Self::Named, Self::Any];
 }
 
 /// The texts that the places of a pattern stand for.
@@ -78,10 +74,12 @@ impl Pattern {
     pub(crate) fn breadth(&self) -> Breadth {
         if self.has("{of}") {
             Breadth::OfAnother
-        } else if !self.text.is_empty() && self.text.chars().all(|character| matches!(character, '*' | '.')) {
+        } else if !self.has("*") {
+            Breadth::Named
+        } else if self.text.chars().all(|character| matches!(character, '*' | '.')) {
             Breadth::Any
         } else {
-            Breadth::Named
+            Breadth::Similar
         }
     }
 
