@@ -175,6 +175,24 @@ fn files_beside_seeds_are_merged_with_the_same_files_beside_the_input() {
 }
 
 #[test]
+fn cropped_layers_are_weighted_by_the_counts_of_their_own_pixels() {
+    let folder = folder();
+    let parts = |name: &str, start: f32, count: f32| {
+        let mut colour = Part::named("rgba").with("", "RGB", start);
+        let mut counts = vec![1.0; PIXELS];
+        counts[SIZE.0 + 1] = count;
+        colour.channels.push(("sampleCount".into(), FlatSamples::F32(counts)));
+        let depth = Part { position: (1, 1), size: (3, 2), ..Part::named("depth") }.with("depth", "Z", start);
+        write(folder.path(), name, vec![colour, depth])
+    };
+    let (first, second) = (parts("1.exr", 10.0, 3.0), parts("2.exr", 20.0, 1.0));
+    let set = BufferSet::read(&BufferSetRequest { seeds: vec![second], ..request(&first) }).unwrap();
+    let (_, depth) = set.features().next().unwrap();
+    // (3·10 + 20)/4 in the first pixel of the crop, and (11 + 21)/2 in the next.
+    assert_eq!(depth.mean.planes[0][SIZE.0 + 1..SIZE.0 + 3], [12.5, 16.0]);
+}
+
+#[test]
 fn half_floats_stay_half_floats() {
     let folder = folder();
     let half = |seed: f32| {

@@ -1,12 +1,13 @@
 //! Renders of one frame with different seeds, merged into one: means weighted by the numbers of samples, and halves.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use stein::error::{Error, FileCause, LayerCause, RequestCause, Result};
 use stein::frame::{SamplesPerPixel, variance_from_image};
-use stein::image::{Extent, Image};
+use stein::image::{Extent, Image, Window};
 use stein::text;
 
 use crate::buffer_set::BufferSet;
@@ -227,8 +228,11 @@ fn same_layer(own: &ExrFile, other: &ExrFile, planes: &Planes) -> Option<(usize,
 }
 
 /// Weights of the seeds in a picture; the input is the first seed.
+#[derive(Clone)]
 struct Weights {
     scope: Scope,
+    /// The pixels that have counts.
+    window: Window,
     /// Numbers of samples; equal numbers if some seed does not know them.
     counts: Vec<SamplesPerPixel>,
     is_known: bool,
@@ -237,7 +241,7 @@ struct Weights {
 }
 
 impl Weights {
-    fn new(scope: Scope, mut counts: Vec<SamplesPerPixel>) -> Self {
+    fn new(scope: Scope, window: Window, mut counts: Vec<SamplesPerPixel>) -> Self {
         let is_known = counts.iter().all(|count| *count != SamplesPerPixel::Unknown);
         if !is_known {
             counts.fill(SamplesPerPixel::Uniform(1.0));
@@ -258,7 +262,21 @@ impl Weights {
             to_a
         });
         let in_a = in_a.collect();
-        Self { scope, counts, is_known, in_a }
+        Self { scope, window, counts, is_known, in_a }
+    }
+
+    /// Returns the weights of the pixels of a layer, which may be cropped.
+    fn in_window(&self, window: Window) -> Cow<'_, Self> {
+        if window == self.window {
+            return Cow::Borrowed(self);
+        }
+        let aligned = |count: &SamplesPerPixel| match count {
+            SamplesPerPixel::PerPixel(image) => {
+                SamplesPerPixel::PerPixel(source::aligned(image.clone(), self.window, window, 0.0))
+            }
+            other => other.clone(),
+        };
+        Cow::Owned(Self { counts: self.counts.iter().map(aligned).collect(), window, ..self.clone() })
     }
 
     fn count(&self, seed: usize, pixel: usize) -> f64 {
@@ -418,7 +436,7 @@ impl<'a> Merger<'a> {
         let own = set.pictures.iter().find(|picture| picture.scope == *scope).map(|picture| picture.samples.clone());
         let own = own.unwrap_or_else(|| known(&set.files[0], &self.reading.classified[0]));
         let of_seeds = self.seeds.iter().map(|seed| known(seed.main(), &seed.classified));
-        let weights = Weights::new(scope.clone(), std::iter::once(own).chain(of_seeds).collect());
+        let weights = Weights::new(scope.clone(), window, std::iter::once(own).chain(of_seeds).collect());
         if !weights.is_known {
             let note = "the samples per pixel of some seed are not known: all count the same".to_owned();
             if !self.notes.contains(&note) {
@@ -545,7 +563,12 @@ impl<'a> Merger<'a> {
         first_half: usize,
     ) -> [Planes; 2] {
         let nothing = self.nothing(planes, column);
-        let weights = &self.weights[weights];
+        let window = set.files[planes.file].data_window(column.part);
+        let weights = self.weights[weights].in_window(source::window_of(
+            &set.files[planes.file],
+            column.part,
+            self.weights[weights].window,
+        ));
         if self.halves.is_empty() {
             for own in self.reading.own_files {
                 let half = |in_a: bool| {
@@ -566,7 +589,6 @@ impl<'a> Merger<'a> {
         let Some(halves) = self.halves.get_mut(&planes.file) else { unreachable!("it was just put there") };
         for (channel, values) in &column.channels {
             let merged: Vec<Merged> = weights.merged(values, &nothing).collect();
-            let window = set.files[planes.file].data_window(column.part);
             let guessed = guessed_spreads(&merged, window.extent);
             let spreads = merged.iter().enumerate().map(|(pixel, merged)| {
                 let guessed = guessed.as_ref().map_or(0.0, |guessed| f64::from(guessed[pixel]));
@@ -592,6 +614,7 @@ impl<'a> Merger<'a> {
                 let (scope, part) = match set.pictures.as_slice() {
                     // Files beside the input belong to its only picture.
                     [only] if file > 0 => (only.scope.clone(), set.color_part(0)),
+                    _ if file > 0 => continue,
                     _ => (scope, own.part),
                 };
                 let column = match self.column(set, &planes) {
@@ -609,7 +632,9 @@ impl<'a> Merger<'a> {
                     }
                 };
                 let weights = self.weights(set, &scope, part);
-                let (weights, nothing) = (&self.weights[weights], self.nothing(&planes, &column));
+                let nothing = self.nothing(&planes, &column);
+                let weights = &self.weights[weights];
+                let weights = weights.in_window(source::window_of(&set.files[file], column.part, weights.window));
                 for (channel, values) in &column.channels {
                     let merged: Vec<f32> = match quantity {
                         Quantity::Count => {
