@@ -199,12 +199,14 @@ fn check_is_seed(set: &BufferSet, others: &[Seed], seed: &ExrFile) -> Result<()>
 
 /// Returns the difference between two files that cannot show the same frame.
 pub(crate) fn other_frame(own: &ExrFile, other: &ExrFile) -> Option<String> {
+    let (of_own, of_other) = (own.attributes(), other.attributes());
     for name in OF_ONE_FRAME {
-        let value = |file: &ExrFile| file.attributes().into_iter().find(|(found, _)| found == name);
-        if let (Some((_, own)), Some((_, other))) = (value(own), value(other))
+        let value = |attributes: &[(String, String)]| {
+            attributes.iter().find(|(found, _)| found == name).map(|(_, value)| text::name(value).into_owned())
+        };
+        if let (Some(own), Some(other)) = (value(&of_own), value(&of_other))
             && own != other
         {
-            let [own, other] = [&own, &other].map(|value| text::name(value).into_owned());
             return Some(format!("its header says {name} '{other}', and the input's '{own}'"));
         }
     }

@@ -87,9 +87,11 @@ impl Recognised {
 /// Without any sign, returns the native layout, which knows the usual names.
 pub(crate) fn recognise(file: &ExrFile, look_beside: bool) -> Recognised {
     let mut best: Option<((bool, bool, usize), &Layout, Found)> = None;
+    // A header may hold megabytes, such as the names of all objects.
+    let attributes = file.attributes();
     for layout in Layout::built_in() {
         for sign in &layout.recognise {
-            let Some(found) = sign.found(file, look_beside) else { continue };
+            let Some(found) = sign.found(file, &attributes, look_beside) else { continue };
             let names = usize::from(!sign.file.is_empty()) + sign.siblings.len();
             let (attributes, layers) = (sign.attributes.len(), sign.layers.len());
             let strength = (attributes > 0, layers > 0, attributes + layers + names);
@@ -110,15 +112,15 @@ struct Found {
 }
 
 impl Sign {
-    fn found(&self, file: &ExrFile, look_beside: bool) -> Option<Found> {
+    fn found(&self, file: &ExrFile, attributes: &[(String, String)], look_beside: bool) -> Option<Found> {
         let mut told = Vec::new();
         for sign in &self.attributes {
-            let is_it = |(name, value): &(String, String)| {
+            let is_it = |(name, value): &&(String, String)| {
                 sign.name.fit(name).is_some()
                     && sign.value.as_ref().is_none_or(|wanted| wanted.fit(value.trim()).is_some())
             };
-            let (name, _) = file.attributes().into_iter().find(is_it)?;
-            told.push(format!("attribute {}", text::name(&name)));
+            let (name, _) = attributes.iter().find(is_it)?;
+            told.push(format!("attribute {}", text::name(name)));
         }
         for pattern in &self.layers {
             let layer = file.layers.iter().find(|layer| pattern.fit(&layer.key).is_some())?;
