@@ -82,7 +82,7 @@ pub enum Quantity {
     /// The variance of one sample, s².
     #[serde(rename = "variance of one sample")]
     VarianceOfSample,
-    /// The raw second moment E[x²].
+    /// The raw second moment `E[x²]`.
     #[serde(rename = "second moment")]
     SecondMoment,
     /// A number of samples.
