@@ -8,14 +8,11 @@ use stein::frame::{Contradiction, Feature, NoiseCheck, NoiseKnowledge, Repairs, 
 use stein::image::Window;
 use stein::text::{self, number};
 use stein::{Error, Frame};
-use stein_exr::{BufferSet, LayerUse, LayoutUse, Quantity, Role, SignalPart};
+use stein_exr::{BufferSet, LayerUse, LayoutUse, RecognisedBy, Role, SignalPart};
 
 use super::Failure;
 use super::options::Demands;
 use super::out::{indent, table};
-
-/// Name of the layout that knows the usual names of layers.
-const FALLBACK: &str = "native";
 
 /// Description of an input, for programs and people.
 #[derive(Clone, Debug, Serialize)]
@@ -178,7 +175,7 @@ impl std::fmt::Display for Samples {
 impl Picture {
     /// Returns the layer of the colour as people call it.
     pub(crate) fn name(&self) -> &str {
-        if self.layer.is_empty() { "R G B" } else { &self.layer }
+        stein_exr::picture_name(&self.layer)
     }
 
     fn new(set: &BufferSet, index: usize, settled: Result<(&Frame, &Repairs), &Error>) -> Self {
@@ -254,7 +251,7 @@ impl Input {
             display_window: set.display_window().into(),
             non_finite_values: set.layer_uses().iter().map(|layer| layer.non_finite_values).sum(),
             layers: set.layer_uses().to_vec(),
-            needs_samples: settled.err().is_some_and(needs_samples) || set.layer_uses().iter().any(lacks_samples),
+            needs_samples: settled.err().is_some_and(needs_samples) || set.lacks_samples(),
             first,
             further_pictures: pictures.collect(),
         }
@@ -271,8 +268,8 @@ impl Input {
 
     /// Formats how the layout was found; `None` if no layout was recognised.
     fn read_by(&self) -> Option<String> {
-        let (title, how) = (text::name(&self.layout.title), text::name(&self.layout.recognised_by));
-        self.has_layout().then(|| format!("layout: {title}, {how}"))
+        let (title, how) = (&self.layout.title, self.layout.recognised_by.to_string());
+        self.has_layout().then(|| format!("layout: {}, {}", text::name(title), text::name(&how)))
     }
 
     /// Formats the other files that were read without having been named one by one.
@@ -284,7 +281,7 @@ impl Input {
 
     /// Whether the layout was recognised or requested. The fallback knows the usual names.
     pub(crate) fn has_layout(&self) -> bool {
-        self.layout.name != FALLBACK || !self.layout.recognised_by.starts_with("no sign")
+        self.layout.recognised_by != RecognisedBy::UsualNames
     }
 
     /// Formats the description in lines, without the layout and the files beside the input.
@@ -496,13 +493,6 @@ impl Check {
             ratios.iter().filter_map(|(name, ratio)| Some(format!("{name} {}", number((*ratio)?)))).collect();
         (!told.is_empty()).then(|| format!("  noise compared: {}", told.join(", ")))
     }
-}
-
-/// Whether a layer is left out because the number of samples is missing.
-fn lacks_samples(layer: &LayerUse) -> bool {
-    let causes = [Quantity::VarianceOfSample, Quantity::SecondMoment]
-        .map(|quantity| LayerCause::NeedsSamples { quantity: quantity.to_string() }.to_string());
-    layer.note.as_ref().is_some_and(|note| causes.iter().any(|cause| note.contains(cause)))
 }
 
 /// Whether nothing but the number of samples is missing.

@@ -69,27 +69,22 @@ pub(crate) fn check_name<'a>(
             "{name}: the output is an {kinds} file\n  remedy: give it a name that ends in .exr{colour_alone}"
         )));
     }
-    if let Some(other) = same_files.next() {
-        return Err(Failure::output(format_args!(
-            "{name}: is also read, as {}, and would be replaced\n  remedy: choose another name with -o",
-            text::path(other)
-        )));
-    }
-    Ok(())
+    same_files.next().map_or(Ok(()), |other| Err(also_read(output, other)))
+}
+
+fn also_read(output: &Path, other: &Path) -> Failure {
+    Failure::output(format_args!(
+        "{}: is also read, as {}, and would be replaced\n  remedy: choose another name with -o",
+        text::path(output),
+        text::path(other)
+    ))
 }
 
 /// Refuses an output that would replace a file that belongs to the input, such as one that was found beside it. The
 /// input itself may be replaced.
 pub(crate) fn check_not_read(output: &Path, set: &BufferSet) -> Result<(), Failure> {
     let is_other = |file: &&Path| !same_file(file, set.input()) && same_file(file, output);
-    match set.files().find(is_other) {
-        None => Ok(()),
-        Some(other) => Err(Failure::output(format_args!(
-            "{}: is also read, as {}, and would be replaced\n  remedy: choose another name with -o",
-            text::path(output),
-            text::path(other)
-        ))),
-    }
+    set.files().find(is_other).map_or(Ok(()), |other| Err(also_read(output, other)))
 }
 
 /// Checks that the folder of the output can be written to.

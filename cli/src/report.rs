@@ -158,7 +158,7 @@ impl PictureReport {
 
 /// Formats the name of a picture's layer.
 pub(crate) fn picture_name(layer: &str) -> String {
-    if layer.is_empty() { "R G B".into() } else { text::name(layer).into_owned() }
+    text::name(stein_exr::picture_name(layer)).into_owned()
 }
 
 /// Formats the location of the compiled shaders; `None` if they are not kept.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use stein::frame::{IMAGE_ONLY, NoiseKnowledge};
 use stein::text;
-use stein_exr::{BufferSetRequest, LayerRef, LayerUse, Quantity, Role};
+use stein_exr::{BufferSetRequest, LayerRef, LayerUse, Quantity, RecognisedBy, Role};
 
 use super::inspect::{Check, FeatureNoise, Input, Outcome, Picture};
 use super::output;
@@ -196,12 +196,10 @@ impl State {
 
 fn renderer(input: &Input) -> String {
     let layout = &input.layout;
-    if !input.has_layout() {
-        return "not recognised: layers are taken by their usual names".into();
-    }
-    let how = match layout.recognised_by.as_str() {
-        "chosen on request" => "as requested".to_owned(),
-        signs => format!("recognised by {signs}"),
+    let how = match &layout.recognised_by {
+        RecognisedBy::UsualNames => return "not recognised: layers are taken by their usual names".into(),
+        RecognisedBy::Request => "as requested".to_owned(),
+        RecognisedBy::Signs(signs) => format!("recognised by {signs}"),
     };
     format!("{}; layout {}, {how}", text::name(&layout.title), text::name(&layout.name))
 }

@@ -200,7 +200,7 @@ impl InputFiles {
 
 /// Returns the name of a picture for people.
 pub fn picture_title(name: &str) -> String {
-    if name.is_empty() { "R G B".into() } else { text::name(name).into_owned() }
+    text::name(stein_exr::picture_name(name)).into_owned()
 }
 
 /// A frame that was read or rendered, before any run.

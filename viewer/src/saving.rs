@@ -157,12 +157,7 @@ impl Content {
 /// Writes a colour as PFM or PNG. Returns remarks for the user.
 fn write_color(path: &Path, color: &Image, format: Format) -> Result<Vec<String>> {
     let counts = picture_file::write(path, color, format, PngEncoding::Srgb)?;
-    let changed = [
-        (counts.clamped_values, "values outside 0 to 1 were clamped"),
-        (counts.non_finite_values, "values that were not finite became 0"),
-    ];
-    let changed = changed.into_iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
-    Ok(std::iter::once("the colour alone".to_owned()).chain(changed).collect())
+    Ok(std::iter::once("the colour alone".to_owned()).chain(counts.notes()).collect())
 }
 
 impl Sight {

@@ -19,7 +19,7 @@ use crate::seeds::{self, Reading};
 use crate::source::{Picture, Planes, SignalSource};
 use crate::uses::{Note, layer_uses};
 use stein::error::{Error, LayerCause, Result};
-use stein::frame::SamplesPerPixel;
+use stein::frame::{FeatureKind, SamplesPerPixel};
 use stein::image::Window;
 use stein::text;
 
@@ -60,6 +60,7 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
     // Layers of files beside the input are nowhere else named.
     let beside = left_out.iter().filter(|it| it.id.file > 0);
     files.notes.extend(beside.map(|it| format!("not used: {}: {}", text::path(&it.path), it.cause)));
+    let lacks_samples = left_out.iter().any(LeftOut::lacks_samples);
     let mut notes: Vec<Note> = left_out.into_iter().map(LeftOut::into_note).collect();
     notes.append(&mut files.layer_notes);
     notes.extend(files.orphans());
@@ -73,6 +74,7 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
         seeds: Vec::new(),
         seed_files: Vec::new(),
         stale: Vec::new(),
+        lacks_samples,
         png_encoding: request.png_encoding,
         layer_uses: Vec::new(),
     };
@@ -102,6 +104,10 @@ impl LeftOut {
     fn new(files: &[ExrFile], id: LayerId, cause: LayerCause) -> Self {
         let file = &files[id.file];
         Self { id, path: file.path.clone(), name: file.layers[id.layer].title(), cause: Box::new(cause) }
+    }
+
+    fn lacks_samples(&self) -> bool {
+        matches!(*self.cause, LayerCause::NeedsSamples { .. })
     }
 
     fn into_note(self) -> Note {
@@ -153,13 +159,23 @@ impl Files {
         meanings.map(|meaning| meaning.rank.rule).any(|rule| rule < layout.rules.len())
     }
 
-    fn open(&mut self, path: &Path) -> Result<usize> {
+    /// Opens a file that was named, as a colour or as the feature of that name.
+    fn open(&mut self, path: &Path, feature: Option<&str>) -> Result<usize> {
         match self.list.iter().position(|file| file.path == path) {
             Some(index) => Ok(index),
             None => {
-                self.add(ExrFile::read(path, self.png_encoding)?, false);
+                self.add(ExrFile::read(path, self.encoding(feature))?, false);
                 Ok(self.list.len() - 1)
             }
+        }
+    }
+
+    /// Returns the meaning of the values of a PNG file. Directions and distances are no light, so that no curve applies
+    /// to them.
+    fn encoding(&self, feature: Option<&str>) -> PngEncoding {
+        match feature.map(FeatureKind::from_name) {
+            Some(FeatureKind::Normal | FeatureKind::Distance) => PngEncoding::Linear,
+            _ => self.png_encoding,
         }
     }
 

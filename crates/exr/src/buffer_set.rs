@@ -41,6 +41,8 @@ pub struct BufferSet {
     pub(crate) seed_files: Vec<PathBuf>,
     /// Layers of the input that an output leaves out, because they belong to one seed alone.
     pub(crate) stale: Vec<usize>,
+    /// Whether layers are left out because the number of samples is not known.
+    pub(crate) lacks_samples: bool,
     /// Meaning of the values in PNG files.
     pub(crate) png_encoding: PngEncoding,
     pub(crate) layer_uses: Vec<LayerUse>,
@@ -151,6 +153,11 @@ impl BufferSet {
     /// Returns the samples per pixel: as requested, else from a channel, else from the header, else unknown.
     pub fn samples_per_pixel(&self) -> SamplesPerPixel {
         self.pictures[0].samples.clone()
+    }
+
+    /// Returns whether variances are left out because the samples per pixel are not known.
+    pub fn lacks_samples(&self) -> bool {
+        self.lacks_samples
     }
 
     /// Returns a text in the input's header, of the colour's part or of the whole file.
@@ -373,6 +380,11 @@ impl BufferSet {
             source::aligned(image, source::window_of(file, part, window), window, outside)
         })
     }
+}
+
+/// Returns what people call a picture by its layer: plain `R G B` has no name.
+pub fn picture_name(layer: &str) -> &str {
+    if layer.is_empty() { "R G B" } else { layer }
 }
 
 /// Reads the colour of a reference image: three planes, R, G, B (equal ones for a luminance-only image). The values of a

@@ -169,12 +169,7 @@ fn write_picture(
     let mut image = first.color.clone();
     image.planes.extend(set.alpha().into_iter().flat_map(|alpha| alpha.planes));
     let counts = picture_file::write(output, &image, format, set.png_encoding)?;
-    if counts.clamped_values > 0 {
-        notes.push(format!("{} values are outside of 0 to 1 and were written as 0 or 1", counts.clamped_values));
-    }
-    if counts.non_finite_values > 0 {
-        notes.push(format!("{} values were not finite and were written as 0", counts.non_finite_values));
-    }
+    notes.extend(counts.notes());
     Ok(Written {
         file: output.to_owned(),
         added_layers: Vec::new(),

@@ -5,10 +5,11 @@ mod pattern;
 mod recognise;
 mod rule;
 
+use std::fmt;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 
 pub(crate) use pattern::{Breadth, Pattern};
 pub(crate) use recognise::{Recognised, recognise};
@@ -188,8 +189,35 @@ pub struct LayoutUse {
     pub name: String,
     /// Name of the renderer and the kind of its files.
     pub title: String,
-    /// How it was recognised: by attributes, layers or files of these names, or on request.
-    pub recognised_by: String,
+    /// How it was recognised.
+    pub recognised_by: RecognisedBy,
+}
+
+/// How a layout was recognised. Displays, and is serialised, as a phrase.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum RecognisedBy {
+    /// By attributes, layers or files of these names.
+    Signs(String),
+    /// The user chose it.
+    Request,
+    /// Not at all: layers are taken by their usual names.
+    UsualNames,
+}
+
+impl fmt::Display for RecognisedBy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Signs(signs) => signs,
+            Self::Request => "chosen on request",
+            Self::UsualNames => "no sign of a renderer: by the usual names of layers",
+        })
+    }
+}
+
+impl Serialize for RecognisedBy {
+    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
 }
 
 #[cfg(test)]

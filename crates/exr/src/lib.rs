@@ -37,10 +37,10 @@ mod source;
 mod uses;
 mod write;
 
-pub use buffer_set::{BufferSet, read_reference};
+pub use buffer_set::{BufferSet, picture_name, read_reference};
 pub use estimate::{Written, write_estimate, write_estimates};
 pub use layer_ref::{LayerRef, LayerUse, Role, SampleKind, SignalPart, same_file};
-pub use layout::{Layout, LayoutUse, Quantity, RoleName, Unit};
+pub use layout::{Layout, LayoutUse, Quantity, RecognisedBy, RoleName, Unit};
 pub use map_file::MapFile;
 pub use request::BufferSetRequest;
 pub use samples::write_samples;

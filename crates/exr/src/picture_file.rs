@@ -60,6 +60,17 @@ pub struct WriteCounts {
     pub non_finite_values: usize,
 }
 
+impl WriteCounts {
+    /// Returns remarks for people; none if the file holds every value.
+    pub fn notes(&self) -> impl Iterator<Item = String> + use<> {
+        let changed = [
+            (self.clamped_values, "values are outside of 0 to 1 and were written as 0 or 1"),
+            (self.non_finite_values, "values were not finite and were written as 0"),
+        ];
+        changed.into_iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"))
+    }
+}
+
 impl Format {
     /// Tells the format from the beginning of a file. Everything that is neither PFM nor PNG is taken for OpenEXR,
     /// whose reader refuses the rest.

@@ -39,11 +39,7 @@ pub struct BufferSetRequest {
     /// taken from the same file; may be repeated
     #[cfg_attr(
         feature = "programs",
-        arg(
-            long = "feature",
-            value_name = "NAME=FILE[::LAYER]",
-            value_parser = OsStringValueParser::new().try_map(feature)
-        )
+        arg(long = "feature", value_name = "NAME=FILE[::LAYER]", value_parser = of_feature())
     )]
     pub features: Vec<(String, LayerRef)>,
     /// A feature of the input to leave out: by its whole name, or by the last part of it in all view layers; may be
@@ -54,34 +50,13 @@ pub struct BufferSetRequest {
     #[cfg_attr(feature = "programs", arg(long, help = "Use no features of the input but those given with --feature"))]
     pub no_features: bool,
     /// Half A of a feature from another file; may be repeated
-    #[cfg_attr(
-        feature = "programs",
-        arg(
-            long,
-            value_name = "NAME=FILE[::LAYER]",
-            value_parser = OsStringValueParser::new().try_map(feature)
-        )
-    )]
+    #[cfg_attr(feature = "programs", arg(long, value_name = "NAME=FILE[::LAYER]", value_parser = of_feature()))]
     pub feature_half_a: Vec<(String, LayerRef)>,
     /// Half B of a feature from another file; may be repeated
-    #[cfg_attr(
-        feature = "programs",
-        arg(
-            long,
-            value_name = "NAME=FILE[::LAYER]",
-            value_parser = OsStringValueParser::new().try_map(feature)
-        )
-    )]
+    #[cfg_attr(feature = "programs", arg(long, value_name = "NAME=FILE[::LAYER]", value_parser = of_feature()))]
     pub feature_half_b: Vec<(String, LayerRef)>,
     /// Variance of the mean of a feature from another file; may be repeated
-    #[cfg_attr(
-        feature = "programs",
-        arg(
-            long,
-            value_name = "NAME=FILE[::LAYER]",
-            value_parser = OsStringValueParser::new().try_map(feature)
-        )
-    )]
+    #[cfg_attr(feature = "programs", arg(long, value_name = "NAME=FILE[::LAYER]", value_parser = of_feature()))]
     pub feature_variance: Vec<(String, LayerRef)>,
     /// Another render of the same frame with another seed, to be merged with the input; may be repeated
     #[cfg_attr(feature = "programs", arg(id = "seed", long, value_name = "FILE"))]
@@ -107,6 +82,12 @@ pub struct BufferSetRequest {
         )
     )]
     pub no_siblings: bool,
+}
+
+/// Returns a parser of a feature's name and a layer.
+#[cfg(feature = "programs")]
+fn of_feature() -> impl TypedValueParser<Value = (String, LayerRef)> {
+    OsStringValueParser::new().try_map(feature)
 }
 
 /// Parses a number of samples.

@@ -66,17 +66,6 @@ pub(crate) fn merge(set: &mut BufferSet, request: &BufferSetRequest, reading: &R
     set.seeds = seeds.iter().map(|seed| seed.main().path.clone()).collect();
     set.seed_files = seeds.iter().flat_map(|seed| seed.files.values().skip(1)).map(|file| file.path.clone()).collect();
     set.notes.extend(seeds.iter().flat_map(|seed| seed.notes.clone()));
-    for picture in &set.pictures {
-        for seed in &seeds {
-            let Some((part, channels)) = same_layer(&set.files[0], seed.main(), &picture.color.mean) else { continue };
-            let planes = seed.main().planes(part, &channels).planes;
-            let damaged = planes.iter().flatten().filter(|value| !value.is_finite()).count();
-            if damaged > 0 {
-                let path = text::path(&seed.main().path);
-                set.notes.push(format!("{path}: {damaged} values of the colour are not finite and do not count"));
-            }
-        }
-    }
     let mut merger = Merger::new(&seeds, request, reading);
     merger.halves(set);
     merger.average(set);
@@ -102,10 +91,9 @@ impl Seed {
         reading: &Reading<'_>,
     ) -> Result<Self> {
         let main = ExrFile::read(path, request.png_encoding)?;
-        check_is_seed(set, others, &main)?;
+        let mut notes = check_is_seed(set, others, &main)?;
         let classified = classify(reading.rules, &main, 0, None);
         let mut files = BTreeMap::from([(0, main)]);
-        let mut notes = Vec::new();
         if !request.no_siblings {
             let find =
                 |input: &Path| siblings::find(&reading.rules.list, input, reading.layout.stem_of(input).as_deref());
@@ -152,8 +140,8 @@ fn beside_seed(set: &BufferSet, index: usize, path: &Path, request: &BufferSetRe
     }
 }
 
-/// Checks that a file is another render of the frame that the input shows.
-fn check_is_seed(set: &BufferSet, others: &[Seed], seed: &ExrFile) -> Result<()> {
+/// Checks that a file is another render of the frame that the input shows. Returns remarks on values that do not count.
+fn check_is_seed(set: &BufferSet, others: &[Seed], seed: &ExrFile) -> Result<Vec<String>> {
     let input = &set.files[0];
     let not_a_seed = |reason: String| {
         let cause = FileCause::NotASeed { of: input.path.clone(), reason };
@@ -162,6 +150,7 @@ fn check_is_seed(set: &BufferSet, others: &[Seed], seed: &ExrFile) -> Result<()>
     if let Some(difference) = other_frame(input, seed) {
         return not_a_seed(difference);
     }
+    let mut notes = Vec::new();
     for picture in &set.pictures {
         let planes = &picture.color.mean;
         let layer = &input.layers[planes.layer];
@@ -179,8 +168,13 @@ fn check_is_seed(set: &BufferSet, others: &[Seed], seed: &ExrFile) -> Result<()>
             return Err(Error::Layer { path: seed.path.clone(), layer: layer.title(), cause });
         }
         let color = seed.planes(found.0, &found.1);
-        if !color.planes.iter().flatten().any(|value| value.is_finite()) {
+        let damaged = color.planes.iter().flatten().filter(|value| !value.is_finite()).count();
+        if damaged == color.planes.iter().map(Vec::len).sum::<usize>() {
             return not_a_seed("not one of its pixels has a usable value".into());
+        }
+        if damaged > 0 {
+            let path = text::path(&seed.path);
+            notes.push(format!("{path}: {damaged} values of the colour are not finite and do not count"));
         }
         // Pictures without any noise are the same for all seeds.
         if color.planes.iter().all(|plane| plane.iter().all(|value| *value == plane[0])) {
@@ -194,7 +188,7 @@ fn check_is_seed(set: &BufferSet, others: &[Seed], seed: &ExrFile) -> Result<()>
             return not_a_seed(format!("it holds the same pixels as {same}, so that nothing is known of their noise"));
         }
     }
-    Ok(())
+    Ok(notes)
 }
 
 /// Returns the difference between two files that cannot show the same frame.
@@ -403,6 +397,13 @@ struct Column {
     channels: Vec<(usize, Vec<Vec<f32>>)>,
 }
 
+/// The place of a layer in a seed.
+struct Place<'a> {
+    file: &'a ExrFile,
+    part: usize,
+    channels: Vec<usize>,
+}
+
 struct Merger<'a> {
     seeds: &'a [Seed],
     request: &'a BufferSetRequest,
@@ -449,23 +450,28 @@ impl<'a> Merger<'a> {
         self.weights.len() - 1
     }
 
+    /// Returns the place of a layer in each seed, or the path of a seed that lacks it.
+    fn places(&self, set: &BufferSet, planes: &Planes) -> std::result::Result<Vec<Place<'a>>, PathBuf> {
+        let own = &set.files[planes.file];
+        let window = own.data_window(own.layers[planes.layer].part);
+        let place = |seed: &'a Seed| {
+            let file = seed.files.get(&planes.file)?;
+            let (part, channels) = same_layer(own, file, planes)?;
+            (source::overlap(file.data_window(part), window) > 0).then_some(Place { file, part, channels })
+        };
+        self.seeds.iter().map(|seed| place(seed).ok_or_else(|| seed.main().path.clone())).collect()
+    }
+
     /// Returns the values of a layer in all seeds, or the path of a seed that lacks it.
     fn column(&self, set: &BufferSet, planes: &Planes) -> std::result::Result<Column, PathBuf> {
         let own = &set.files[planes.file];
         let part = own.layers[planes.layer].part;
         let window = own.data_window(part);
         let outside = self.outside(planes);
-        let mut of_seeds = Vec::new();
-        for seed in self.seeds {
-            let lacking = || seed.main().path.clone();
-            let file = seed.files.get(&planes.file).ok_or_else(lacking)?;
-            let (part, channels) = same_layer(own, file, planes).ok_or_else(lacking)?;
-            let other = file.data_window(part);
-            if source::overlap(other, window) == 0 {
-                return Err(lacking());
-            }
-            of_seeds.push(source::aligned(file.planes(part, &channels), other, window, outside).planes);
-        }
+        let aligned = |Place { file, part, channels }: Place<'_>| {
+            source::aligned(file.planes(part, &channels), file.data_window(part), window, outside).planes
+        };
+        let of_seeds: Vec<_> = self.places(set, planes)?.into_iter().map(aligned).collect();
         let channels = planes.channels.iter().enumerate().map(|(position, &channel)| {
             let others = of_seeds.iter().map(|planes| planes[position].clone());
             (channel, std::iter::once(own.plane(part, channel)).chain(others).collect())
@@ -527,7 +533,10 @@ impl<'a> Merger<'a> {
                 if !self.reading.own_files.contains(&planes.file) {
                     continue;
                 }
-                match self.column(set, &planes) {
+                // A luminance stands for three channels.
+                let mut once = planes.clone();
+                once.channels.dedup();
+                match self.column(set, &once) {
                     Ok(column) => {
                         let halves = self.put_halves(set, &planes, &column, weights, first_half);
                         (source.half_a, source.half_b) = (Some(halves[0].clone()), Some(halves[1].clone()));
@@ -540,7 +549,7 @@ impl<'a> Merger<'a> {
                 let variance = source.variance.as_ref().map(|variance| variance.planes.clone());
                 let variance = variance.filter(|planes| self.reading.own_files.contains(&planes.file));
                 if let Some(planes) = variance
-                    && let Err(lacking) = self.column(set, &planes)
+                    && let Err(lacking) = self.places(set, &planes)
                 {
                     source.variance = None;
                     self.notes

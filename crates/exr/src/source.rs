@@ -4,7 +4,7 @@ use stein::error::LayerCause;
 use stein::frame::{RawSignal, SamplesPerPixel, fill_unknown_variance};
 use stein::image::{Image, Window};
 
-use crate::classify::Scope;
+use crate::classify::{LayerId, Scope};
 use crate::file::ExrFile;
 use crate::layout::{Quantity, Unit};
 
@@ -18,6 +18,21 @@ pub(crate) struct Planes {
     pub(crate) layer: usize,
     /// Positions in the part's list of channels, one for each plane; a luminance is listed three times.
     pub(crate) channels: Vec<usize>,
+}
+
+impl Planes {
+    pub(crate) fn id(&self) -> LayerId {
+        LayerId { file: self.file, layer: self.layer }
+    }
+}
+
+/// Returns a half without the other one, and the name of that.
+pub(crate) fn single_half<'a>(half_a: &'a Option<Planes>, half_b: &'a Option<Planes>) -> Option<(&'a Planes, char)> {
+    match (half_a, half_b) {
+        (Some(half), None) => Some((half, 'B')),
+        (None, Some(half)) => Some((half, 'A')),
+        _ => None,
+    }
 }
 
 /// The layer from which a signal's variance of the mean is known.

@@ -40,7 +40,7 @@ fn used(set: &BufferSet) -> Vec<Used> {
             add(&mut used, picture, source, &|part| Role::Feature(name.clone(), part));
         }
         used.extend(of_picture.samples_layer.as_ref().map(|planes| Used {
-            id: LayerId { file: planes.file, layer: planes.layer },
+            id: planes.id(),
             picture,
             role: Role::Samples,
             quantity: None,
@@ -63,7 +63,7 @@ fn add(used: &mut Vec<Used>, picture: usize, source: &SignalSource, role: &dyn F
         let quantity = variance
             .map(|variance| variance.quantity)
             .filter(|quantity| part == SignalPart::Variance && *quantity != Quantity::VarianceOfMean);
-        let id = LayerId { file: planes.file, layer: planes.layer };
+        let id = planes.id();
         let unit = source.unit.filter(|_| part == SignalPart::Mean);
         used.push(Used { id, picture, role: role(part), quantity, unit });
     }

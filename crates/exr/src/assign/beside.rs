@@ -3,12 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use super::Files;
-use super::{color_layer_of, main_layer};
+use super::main_layer;
 use crate::classify::{LayerId, Meaning, Rank};
 use crate::file::ExrFile;
 use crate::layers::{self};
 use crate::layout::{Recognised, RoleName};
-use crate::picture_file::PngEncoding;
 use crate::request::BufferSetRequest;
 use crate::seeds;
 use crate::siblings::{self, Sibling};
@@ -53,9 +52,7 @@ impl Files {
         let index = match self.list.iter().position(|file| file.path == sibling.path) {
             Some(index) => index,
             None => {
-                // Directions and distances are no light, so that no curve applies to them.
-                let is_light = !matches!(rule.role, Some(RoleName::Normal | RoleName::Depth | RoleName::Position));
-                let encoding = if is_light { self.png_encoding } else { PngEncoding::Linear };
+                let encoding = self.encoding(rule.role.and_then(RoleName::feature_name));
                 let mut file = ExrFile::read(&sibling.path, encoding)?;
                 if let Some(difference) = seeds::other_frame(&self.list[0], &file) {
                     let cause = FileCause::OtherFrame { of: input.to_owned(), reason: difference };
@@ -86,7 +83,7 @@ impl Files {
             Some(path) => match self.list.iter().position(|other| other.path == *path) {
                 // The file that this one describes could not be read.
                 None => return Ok(()),
-                Some(0) => Some(LayerId { file: 0, layer: color_layer_of(&self.list[0], None)? }),
+                Some(0) => Some(LayerId { file: 0, layer: self.colors(None)?[0].layer }),
                 Some(other) => Some(LayerId { file: other, layer: main_layer(&self.list[other])? }),
             },
         };

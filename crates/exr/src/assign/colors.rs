@@ -1,7 +1,7 @@
 //! The colours of a file.
 
 use super::Files;
-use crate::classify::{LayerId, Rank, Scope};
+use crate::classify::{LayerId, Meaning, Rank, Scope};
 use crate::file::ExrFile;
 use crate::layers::FileLayer;
 use crate::layout::{RoleName, Unit, recognise};
@@ -50,13 +50,16 @@ impl Files {
         }
     }
 
+    /// Returns the layers of the input whose names say that they are colours.
+    fn named_colors(&self) -> impl Iterator<Item = LayerId> {
+        let is_color = |meaning: &Meaning| meaning.is_mean_of(|role| role == RoleName::Color);
+        self.ids().filter(move |id| id.file == 0 && self.meaning(*id).is_some_and(is_color))
+    }
+
     /// Returns the best colour of each picture, with its rank: of each part, view layer and view.
     pub(super) fn best_colors(&self) -> Vec<(Rank, LayerId)> {
-        let is_color = |id: &LayerId| {
-            self.meaning(*id).is_some_and(|meaning| meaning.is_mean_of(|role| role == RoleName::Color))
-                && self.channels_of_color(*id).is_ok()
-        };
-        let all: Vec<LayerId> = self.ids().filter(|id| id.file == 0).filter(is_color).collect();
+        let has_channels = |id: &LayerId| self.channels_of_color(*id).is_ok();
+        let all: Vec<LayerId> = self.named_colors().filter(has_channels).collect();
         let is_second_choice = |id: &LayerId| self.rule(*id).is_some_and(|rule| rule.is_fallback || rule.is_copy);
         let first_choice: Vec<LayerId> = all.iter().copied().filter(|id| !is_second_choice(id)).collect();
         let candidates = if first_choice.is_empty() { all } else { first_choice };
@@ -90,10 +93,7 @@ impl Files {
             _ if file.layers.len() == 1 && colorful(&0) => Ok(0),
             [] => {
                 // A colour of which a channel is missing.
-                let is_color = |id: &LayerId| {
-                    self.meaning(*id).is_some_and(|meaning| meaning.is_mean_of(|role| role == RoleName::Color))
-                };
-                if let Some(incomplete) = self.ids().filter(|id| id.file == 0).find(is_color) {
+                if let Some(incomplete) = self.named_colors().next() {
                     color_channels(file, incomplete.layer)?;
                 }
                 Err(Error::File { path: file.path.clone(), cause: FileCause::NoColor { layers: file.layer_list() } })

@@ -6,7 +6,6 @@ use crate::classify::{Classified, LayerId, Meaning, Rank, is_whole_numbers};
 use crate::layer_ref::LayerRef;
 use crate::layers::FileLayer;
 use crate::layout::{Quantity, RoleName};
-use crate::picture_file::PngEncoding;
 use crate::request::BufferSetRequest;
 use crate::source::{self, Picture, Planes, SignalSource};
 use crate::uses::Note;
@@ -45,13 +44,7 @@ impl Files {
         picture: &Picture,
         left_out: &mut Vec<LeftOut>,
     ) -> Result<SignalSource> {
-        // Directions and distances are no light, so that no curve applies to them.
-        let is_light = matches!(FeatureKind::from_name(name), FeatureKind::Albedo | FeatureKind::Other);
-        let encoding = std::mem::replace(&mut self.png_encoding, PngEncoding::Linear);
-        self.png_encoding = if is_light { encoding } else { PngEncoding::Linear };
-        let index = self.open(&reference.file);
-        self.png_encoding = encoding;
-        let index = index?;
+        let index = self.open(&reference.file, Some(name))?;
         let file = &self.list[index];
         let (layer, is_main) = match &reference.layer {
             Some(layer) => (named_layer(file, layer)?, false),
@@ -117,8 +110,7 @@ impl Files {
     /// skip must match one of them: its whole name, the part behind one of its dots, or the name of its role.
     fn find_features(&mut self, picture: &mut Picture, request: &BufferSetRequest, left_out: &mut Vec<LeftOut>) {
         let window = self.window(&picture.color.mean);
-        let of_color: Vec<LayerId> =
-            picture.color.planes().map(|planes| LayerId { file: planes.file, layer: planes.layer }).collect();
+        let of_color: Vec<LayerId> = picture.color.planes().map(Planes::id).collect();
         let mut candidates: Vec<FeatureCandidate> = self
             .ids()
             .filter(|id| !of_color.contains(id))
@@ -226,7 +218,7 @@ impl Files {
         let parts = [&request.feature_half_a, &request.feature_half_b, &request.feature_variance];
         for (part, requested) in parts.into_iter().enumerate() {
             for (name, reference) in requested {
-                let index = self.open(&reference.file)?;
+                let index = self.open(&reference.file, Some(name))?;
                 let file = &self.list[index];
                 let layer = match &reference.layer {
                     Some(layer) => named_layer(file, layer)?,
@@ -249,14 +241,8 @@ impl Files {
             }
         }
         for (name, source) in &picture.features {
-            let missing = match (&source.half_a, &source.half_b) {
-                (Some(half), None) => Some((half, 'B')),
-                (None, Some(half)) => Some((half, 'A')),
-                _ => None,
-            };
-            if let Some((half, missing)) = missing {
-                let id = LayerId { file: half.file, layer: half.layer };
-                let mut trouble = LeftOut::new(&self.list, id, LayerCause::SingleHalf { missing });
+            if let Some((half, missing)) = source::single_half(&source.half_a, &source.half_b) {
+                let mut trouble = LeftOut::new(&self.list, half.id(), LayerCause::SingleHalf { missing });
                 trouble.name = format!("{} (feature {name})", trouble.name);
                 return Err(trouble.into_error());
             }

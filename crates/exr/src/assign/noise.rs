@@ -61,7 +61,7 @@ impl Files {
         let is_named = found.half_a.is_none() && (request.half_a.is_some() || request.half_b.is_some());
         // Files beside the input were not asked for, but the samples may be all that is missing.
         let is_beside = |file: usize| file > 0 && self.own_files.contains(&file);
-        let stops = |it: &LeftOut| !is_beside(it.id.file) || matches!(*it.cause, LayerCause::NeedsSamples { .. });
+        let stops = |it: &LeftOut| !is_beside(it.id.file) || it.lacks_samples();
         match found.left_out.iter().position(stops).filter(|_| !is_known || is_named) {
             Some(first) => Err(found.left_out.swap_remove(first).into_error()),
             None => {
@@ -80,12 +80,12 @@ impl Files {
         is_only: bool,
         window: Window,
     ) -> Result<Planes> {
-        let file = self.open(&reference.file)?;
+        let file = self.open(&reference.file, None)?;
         if file == 0 && reference.layer.is_none() {
             return Err(Error::Request(RequestCause::InputItself { file: reference.file.clone() }));
         }
         // In a file with the same layers, the layer of the same name is meant.
-        let own = self.layer(LayerId { file: mean.file, layer: mean.layer });
+        let own = self.layer(mean.id());
         let layer = same_or_color(&self.list[file], own, is_only, reference.layer.as_deref())?;
         let id = LayerId { file, layer };
         if let Some(why) = self.rule(id).filter(|rule| rule.quantity == Quantity::NotAVariance).map(|rule| &rule.why) {
@@ -100,7 +100,7 @@ impl Files {
 
     /// Returns a requested variance with the quantity that its name says.
     pub(super) fn requested_variance(&self, planes: Planes, samples: &SamplesPerPixel) -> Result<VarianceSource> {
-        let id = LayerId { file: planes.file, layer: planes.layer };
+        let id = planes.id();
         let refuse = |cause| Err(LeftOut::new(&self.list, id, cause).into_error());
         let rule = self.rule(id);
         let quantity = rule.map_or(Quantity::VarianceOfMean, |rule| rule.quantity);
@@ -130,7 +130,7 @@ impl Files {
         let (own, file) = (&self.list[0], &self.list[planes.file]);
         match source::other_resolution(own, window, file, file.layers[planes.layer].part) {
             None => Ok(()),
-            Some(cause) => Err(LeftOut::new(&self.list, LayerId { file: planes.file, layer: planes.layer }, cause)),
+            Some(cause) => Err(LeftOut::new(&self.list, planes.id(), cause)),
         }
     }
 
@@ -145,13 +145,13 @@ impl Files {
     pub(super) fn outside(&self, planes: &Planes, own: Window, window: Window) -> LeftOut {
         let (found, expected) = (own.to_string(), window.to_string());
         let cause = LayerCause::DataWindow { found, expected, color_file: self.list[0].path.clone() };
-        LeftOut::new(&self.list, LayerId { file: planes.file, layer: planes.layer }, cause)
+        LeftOut::new(&self.list, planes.id(), cause)
     }
 
     /// Returns the channels of `layer` that correspond to `planes`: by name, or by position if the names differ
     /// throughout (`Z` and `Y` of single channels). Returns `None` if they do not match.
     pub(super) fn matching_channels(&self, planes: &Planes, layer: LayerId) -> Option<Planes> {
-        let own = self.layer(LayerId { file: planes.file, layer: planes.layer });
+        let own = self.layer(planes.id());
         let candidate = self.layer(layer);
         let by_name = |index: &usize| {
             let suffix = own.channels.iter().find(|channel| channel.index == *index)?;
@@ -185,7 +185,7 @@ impl Companions {
         window: Window,
         belongs: impl Fn(LayerId, &Meaning) -> bool,
     ) {
-        let own = LayerId { file: mean.file, layer: mean.layer };
+        let own = mean.id();
         let mut found: Vec<(LayerId, &Meaning)> =
             files.ids().filter_map(|id| Some((id, files.meaning(id)?))).filter(|(id, _)| *id != own).collect();
         found.retain(|(id, meaning)| belongs(*id, meaning));
@@ -233,7 +233,7 @@ impl Companions {
         }
         let trouble = |cause| LeftOut::new(&files.list, id, cause);
         let Some(planes) = files.matching_channels(mean, id) else {
-            let of = files.layer(LayerId { file: mean.file, layer: mean.layer }).name.clone();
+            let of = files.layer(mean.id()).name.clone();
             self.left_out.push(trouble(LayerCause::CompanionChannels { of }));
             return;
         };
@@ -260,13 +260,9 @@ impl Companions {
 
     /// Leaves out a half without the other one, because it says nothing alone.
     pub(super) fn leave_out_single_half(&mut self, files: &[ExrFile]) {
-        let (single, missing) = match (&mut self.half_a, &mut self.half_b) {
-            (single @ Some(_), None) => (single, 'B'),
-            (None, single @ Some(_)) => (single, 'A'),
-            _ => return,
-        };
-        if let Some(Planes { file, layer, .. }) = single.take() {
-            self.left_out.push(LeftOut::new(files, LayerId { file, layer }, LayerCause::SingleHalf { missing }));
+        if let Some((half, missing)) = source::single_half(&self.half_a, &self.half_b) {
+            self.left_out.push(LeftOut::new(files, half.id(), LayerCause::SingleHalf { missing }));
+            (self.half_a, self.half_b) = (None, None);
         }
     }
 

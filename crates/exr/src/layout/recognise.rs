@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::{Layout, LayoutUse, Pattern, Texts, native};
+use super::{Layout, LayoutUse, Pattern, RecognisedBy, Texts, native};
 use crate::file::ExrFile;
 use crate::siblings::FileName;
 use stein::text;
@@ -74,10 +74,10 @@ impl Recognised {
     /// Returns a layout that was chosen by the user.
     pub(crate) fn requested(layout: Layout, input: &Path) -> Self {
         let stem = layout.stem_of(input);
-        Self::new(layout, stem, "chosen on request".into())
+        Self::new(layout, stem, RecognisedBy::Request)
     }
 
-    fn new(layout: Layout, stem: Option<String>, recognised_by: String) -> Self {
+    fn new(layout: Layout, stem: Option<String>, recognised_by: RecognisedBy) -> Self {
         let by = LayoutUse { name: layout.name.clone(), title: layout.title.clone(), recognised_by };
         Self { layout, stem, by }
     }
@@ -101,8 +101,8 @@ pub(crate) fn recognise(file: &ExrFile, look_beside: bool) -> Recognised {
         }
     }
     match best {
-        Some((_, layout, found)) => Recognised::new(layout.clone(), found.stem, found.by),
-        None => Recognised::new(native().clone(), None, "no sign of a renderer: by the usual names of layers".into()),
+        Some((_, layout, found)) => Recognised::new(layout.clone(), found.stem, RecognisedBy::Signs(found.by)),
+        None => Recognised::new(native().clone(), None, RecognisedBy::UsualNames),
     }
 }
 
