@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use stein::error::Error;
 use stein::image::{Extent, Image};
 use stein_exr::picture_file::{Format, PngEncoding, WriteCounts, write};
-use stein_exr::{BufferSet, read_reference, write_denoised};
+use stein_exr::{BufferSet, BufferSetRequest, LayerRef, read_reference, write_denoised};
 
 use super::{failure, folder, replace_color, request, stored};
 
@@ -383,6 +383,41 @@ fn a_png_file_is_named_by_its_encoding_and_read_by_its_curve() {
     assert_eq!(chunks, [false, true]);
     let expected = ramp.planes[0].iter().map(|&value| srgb_to_linear((f64::from(value) * 65_535.0).round() / 65_535.0));
     assert_close(&[read], &[expected.collect()], 1e-7, "linear");
+}
+
+/// A normal and a distance are no light, nor are their halves and variances; an albedo is.
+#[test]
+fn the_curve_of_png_applies_to_features_of_light_alone() {
+    let folder = folder();
+    let input = folder.path().join("color.pfm");
+    write(&input, &image(1, 1, vec![vec![1.0]; 3]), Format::Pfm, PngEncoding::Srgb).unwrap();
+    let value = 0.25_f32;
+    let files = ["mean", "a", "b", "variance"].map(|part| {
+        ["albedo", "normal", "depth"].map(|name| {
+            let path = folder.path().join(format!("{name}_{part}.png"));
+            write(&path, &image(1, 1, vec![vec![value]; 3]), Format::Png, PngEncoding::Linear).unwrap();
+            (name.to_owned(), LayerRef { file: path, layer: None })
+        })
+    });
+    let [features, feature_half_a, feature_half_b, feature_variance] = files.map(Vec::from);
+    let set = BufferSet::read(&BufferSetRequest {
+        features,
+        feature_half_a,
+        feature_half_b,
+        feature_variance,
+        ..request(&input)
+    })
+    .unwrap();
+    for (name, signal) in set.features() {
+        let expected = if name == "albedo" { srgb_to_linear(value.into()) } else { value.into() };
+        let parts = [Some(signal.mean), signal.half_a, signal.half_b, signal.variance_of_mean];
+        for part in parts {
+            let planes = part.unwrap().planes;
+            assert!(!planes.is_empty());
+            assert_close(&planes, &vec![vec![expected]; planes.len()], 1e-5, name);
+        }
+    }
+    assert_eq!(set.features().len(), 3);
 }
 
 #[test]
