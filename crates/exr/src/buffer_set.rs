@@ -387,8 +387,8 @@ pub fn picture_name(layer: &str) -> &str {
     if layer.is_empty() { "R G B" } else { layer }
 }
 
-/// Reads the colour of a reference image: three planes, R, G, B (equal ones for a luminance-only image). The values of a
-/// PNG file follow the curve of sRGB.
+/// Reads the colour of a reference image: three planes, R, G, B (equal ones for a luminance-only image). The values of
+/// a PNG file follow the curve of sRGB.
 ///
 /// # Errors
 /// As [`BufferSet::read`] for a file or layer that cannot be read.

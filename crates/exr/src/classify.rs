@@ -114,8 +114,8 @@ pub(crate) fn classify(rules: &Rules, file: &ExrFile, index: usize, input: Optio
         }
         classified.meanings.push(meaning);
     }
-    // The own layer of a part is plain `R G B` if the part is a picture or a view of its own and its name means nothing,
-    // as in parts called `left` and `right`; but not beside a part of the same view that is called `beauty`.
+    // The own layer of a part is plain `R G B` if the part is a picture or a view of its own and its name means
+    // nothing, as in parts called `left` and `right`; but not beside a part of the same view that is called `beauty`.
     let may_be_plain = |layer: &FileLayer| layer.is_own && (layer.scope_part.is_some() || layer.view.is_some());
     let named: Vec<Option<String>> = file
         .layers

@@ -213,8 +213,8 @@ impl ExrFile {
         part.get(&key).or_else(|| self.image.attributes.other.get(&key))
     }
 
-    /// Returns the names and values of all attributes of all parts that no reader of the format has to know. The value of
-    /// an attribute that is no text is empty.
+    /// Returns the names and values of all attributes of all parts that no reader of the format has to know. The value
+    /// of an attribute that is no text is empty.
     pub(crate) fn attributes(&self) -> Vec<(String, String)> {
         let parts = self.image.layer_data.iter().map(|layer| &layer.attributes);
         let others = parts.clone().map(|attributes| &attributes.other).chain([&self.image.attributes.other]);

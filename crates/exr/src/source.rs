@@ -159,8 +159,8 @@ pub(crate) fn settled_from<E>(
         fill_unknown_variance(variance, &signal.mean, |value| value == UNKNOWN);
     }
     if let Some(miss) = source.miss {
-        // Where one half alone missed, the mean is a distance, if an uncertain one. A position may have the value in one
-        // of its coordinates.
+        // Where one half alone missed, the mean is a distance, if an uncertain one. A position may have the value in
+        // one of its coordinates.
         let planes = &mut signal.mean.planes;
         for pixel in 0..planes.first().map_or(0, Vec::len) {
             if planes.iter().all(|plane| plane[pixel] == miss) {

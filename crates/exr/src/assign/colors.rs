@@ -108,8 +108,8 @@ impl Files {
     }
 }
 
-/// Finds the layer of another file that belongs to the colour `own`: the requested one, the one of the same name, or the
-/// file's colour if the input has no other picture.
+/// Finds the layer of another file that belongs to the colour `own`: the requested one, the one of the same name, or
+/// the file's colour if the input has no other picture.
 pub(crate) fn same_or_color(file: &ExrFile, own: &FileLayer, is_only: bool, wanted: Option<&str>) -> Result<usize> {
     let same = file.layers.iter().position(|layer| layer.name == own.name && layer.channel("R").is_some());
     match (wanted, same) {

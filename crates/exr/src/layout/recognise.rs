@@ -1,4 +1,5 @@
-//! Recognising the layout of a file: by attributes of its header, by its layers, and by its name and the files beside it.
+//! Recognising the layout of a file: by attributes of its header, by its layers, and by its name and the files
+//! beside it.
 
 use std::path::Path;
 
