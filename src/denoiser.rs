@@ -95,6 +95,9 @@ pub struct Estimate {
     pub features: Vec<String>,
     /// Report on the spikes that were found; `None` where the method did not look for spikes.
     pub spikes: Option<SpikeReport>,
+    /// The payload layers of the frame, filtered along with the colour, in the order of
+    /// [`Frame::payload`](crate::frame::Frame::payload).
+    pub payload: Vec<DenoisedLayer>,
     /// The intermediates that [`Options::keep`] lists.
     pub layers: Vec<Layer>,
     /// The steps that ran, and those that were left out.
@@ -107,6 +110,28 @@ pub struct Estimate {
     pub step_times: Option<Vec<StepTime>>,
     /// The most memory that buffers took on the device, in bytes.
     pub peak_bytes: u64,
+}
+
+/// A payload layer that was filtered along with the colour.
+#[derive(Clone, Debug)]
+pub struct DenoisedLayer {
+    /// Name of the layer.
+    pub name: String,
+    /// The denoised layer, in the units of the frame, with the planes that the layer had.
+    pub image: Image,
+    /// Reason why the layer is as it was; `None` for a layer that was filtered.
+    pub left: Option<PayloadLeft>,
+}
+
+/// Reason why a payload layer is as it was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PayloadLeft {
+    /// All its pixels are equal, so that no filter changes them.
+    Constant,
+    /// A frame beside lacks the layer.
+    LackedBeside,
+    /// No pixel of the colour has noise, so that the frame is copied.
+    NoNoise,
 }
 
 /// Memory that the work on a frame takes, and reach of its results. Found by a dry run of the method, which records the
@@ -603,6 +628,12 @@ impl<'a> Assembly<'a> {
             let share = |scaled: f64| if energy > 0.0 { scaled / f64::from(exposure) / energy } else { 0.0 };
             SpikeReport { pixels, taken: share(taken), spread: share(spread) }
         });
+        let payload = frame.payload().iter().map(|layer| DenoisedLayer {
+            name: layer.name.clone(),
+            image: layer.mean.clone(),
+            left: Some(PayloadLeft::NoNoise),
+        });
+        let payload = payload.collect();
         let strips = plan.strips;
         Estimate {
             color,
@@ -613,6 +644,7 @@ impl<'a> Assembly<'a> {
             candidates,
             features,
             spikes,
+            payload,
             layers,
             plan,
             strips,

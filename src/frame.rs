@@ -9,6 +9,7 @@ mod knowledge;
 mod meaning;
 mod noise;
 mod normals;
+mod payload;
 mod range;
 mod repairs;
 mod sanitise;
@@ -24,6 +25,7 @@ pub use kind::FeatureKind;
 pub use knowledge::{IMAGE_ONLY, NoiseKnowledge};
 pub use meaning::{Contradiction, LargeVariance, NoiseCheck};
 pub(crate) use noise::{NoiseTiles, TILE};
+pub use payload::{PayloadKind, PayloadLayer};
 use repairs::Layer;
 pub use repairs::{Damage, DamagedImage, LayerRepairs, Repairs};
 use sanitise::Sanitised;
@@ -142,6 +144,7 @@ pub struct Frame {
     features: Vec<Feature>,
     constant_features: Vec<String>,
     samples_per_pixel: SamplesPerPixel,
+    payload: Vec<PayloadLayer>,
 }
 
 impl Frame {
@@ -231,10 +234,11 @@ impl Frame {
             }
         }
         let samples_per_pixel = sanitise::sanitise_samples(samples_per_pixel, extent, &mut repairs)?;
-        Ok((Self { extent, color, features: kept, constant_features, samples_per_pixel }, repairs))
+        let payload = Vec::new();
+        Ok((Self { extent, color, features: kept, constant_features, samples_per_pixel, payload }, repairs))
     }
 
-    /// Returns a part of the frame, in the same units.
+    /// Returns a part of the frame, in the same units, without its payload.
     pub(crate) fn cropped(&self, part: Window) -> Self {
         let crop = |signal: &Signal| {
             let [half_spread, variance_of_mean] = [&signal.half_spread, &signal.variance_of_mean]
@@ -257,6 +261,7 @@ impl Frame {
             features: features.collect(),
             constant_features: self.constant_features.clone(),
             samples_per_pixel,
+            payload: Vec::new(),
         }
     }
 

@@ -73,7 +73,7 @@ pub mod sampling;
 pub mod stage;
 pub mod text;
 
-pub use denoiser::{Denoiser, Estimate, Layer, Options, Requirements};
+pub use denoiser::{DenoisedLayer, Denoiser, Estimate, Layer, Options, PayloadLeft, Requirements};
 pub use error::{Error, Result};
 pub use frame::Frame;
 pub use gpu::Gpu;

@@ -164,6 +164,14 @@ pub enum RequestCause {
         /// Number of pixels.
         values: usize,
     },
+    /// A payload layer has no planes, or too many.
+    #[error("layer {layer} has {channels} planes, not 1 to 4")]
+    PayloadChannels {
+        /// Name of the layer.
+        layer: String,
+        /// Number of planes.
+        channels: usize,
+    },
     /// The colour has no finite value.
     #[error("layer colour: not one pixel has a usable value{channels}")]
     NoUsableValue {
@@ -355,6 +363,7 @@ impl RequestCause {
             Self::NoPixels { .. } | Self::ImageExtents { .. } | Self::PlaneLength { .. } | Self::LayerShape { .. } => {
                 vec![Remedy::GiveOneExtent]
             }
+            Self::PayloadChannels { .. } => vec![Remedy::ChangeCall("split it into layers of up to 4 planes")],
             Self::NoUsableValue { .. } => vec![Remedy::LookAtLayer, Remedy::RenderAgain],
             Self::UnknownNoise { reasons } if reasons.is_empty() => vec![Remedy::GiveHalves, Remedy::GiveVariance],
             Self::UnknownNoise { .. } => vec![Remedy::LookAtHalves, Remedy::RenderHalvesAgain],

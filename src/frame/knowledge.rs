@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::{Feature, Frame, RELATIVE_EPSILON, Repairs, Signal};
+use super::{Feature, Frame, PayloadLayer, RELATIVE_EPSILON, Repairs, Signal};
 use crate::error::{Error, RequestCause, Result};
 
 /// The remark on a colour without halves and variance, see [`NoiseKnowledge::ImageOnly`].
@@ -109,11 +109,18 @@ impl Frame {
             misses: feature.misses.clone(),
             ..*feature
         };
+        let payload = |layer: &PayloadLayer| PayloadLayer {
+            half_spread: layer.half_spread.as_ref().filter(|_| halves).cloned(),
+            mean: layer.mean.clone(),
+            name: layer.name.clone(),
+            ..*layer
+        };
         Some(Self {
             color: reduced(&self.color),
             features: self.features.iter().map(feature).collect(),
             constant_features: self.constant_features.clone(),
             samples_per_pixel: self.samples_per_pixel.clone(),
+            payload: self.payload.iter().map(payload).collect(),
             ..*self
         })
     }

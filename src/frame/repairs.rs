@@ -138,18 +138,24 @@ impl fmt::Display for Repairs {
     }
 }
 
-/// The signal that a remark is about. Displays as `colour` or `feature albedo`.
+/// The signal that a remark is about. Displays as `colour`, `feature albedo` or `layer diffuse`.
 #[derive(Clone, Copy)]
 pub(super) struct Layer<'a> {
     pub(super) name: &'a str,
     pub(super) is_color: bool,
+    /// Kind of signal before the name, with a space behind it; empty for the colour.
+    kind: &'static str,
 }
 
 impl Layer<'_> {
-    pub(super) const COLOR: Layer<'static> = Layer { name: "colour", is_color: true };
+    pub(super) const COLOR: Layer<'static> = Layer { name: "colour", is_color: true, kind: "" };
 
     pub(super) fn feature(name: &str) -> Layer<'_> {
-        Layer { name, is_color: false }
+        Layer { name, is_color: false, kind: "feature " }
+    }
+
+    pub(super) fn payload(name: &str) -> Layer<'_> {
+        Layer { name, is_color: false, kind: "layer " }
     }
 
     /// Returns the name of a channel, which is counted from 0.
@@ -169,6 +175,6 @@ impl Layer<'_> {
 
 impl fmt::Display for Layer<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}{}", if self.is_color { "" } else { "feature " }, self.name)
+        write!(f, "{}{}", self.kind, self.name)
     }
 }
