@@ -9,14 +9,15 @@
 //
 // LARGE, SMALL and FEATURES_ALONE name the filters that take part, SMALL only beside LARGE. DERIVATIVES computes the
 // perturbed sums; the mean of the payload is then the guide that nlm_distance compared. HALVES filters the half spread.
-// GREY means that all channels of the colour are equal.
+// GREY means that all channels of the colour are equal. WEIGHTS leaves the weights behind the running sums, for
+// payload_accumulate.
 //
 // An invocation filters PIXELS pixels in a row and goes through the offsets row by row: each offset has the same
 // neighbours as the offset before, except for one. Neighbours and running sums stay in registers.
 #import stein::nlm::{NlmParams, PairWeights, EPSILON, DISTANCE_LIMIT, has_opposite, patch_members, pair_weights}
 #import stein::candidates::{CandidateParams, FeatureGroup, feature_group, feature_distances, WEIGHT_LANES,
     LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR, ALONE_MEAN_SUM, ALONE_SPREAD_SUM,
-    difference_step}
+    SUM_PLANES, difference_step}
 
 const LARGE_RADIUS: i32 = #{PATCH_RADIUS};
 const SMALL_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
@@ -330,6 +331,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 
                 // Colour weights (eq. 8.2).
                 let none = vec4<f32>(0.0);
+#ifdef WEIGHTS
+                var by_color = none;
+                let at_weights = SUM_PLANES * strip_pixels + column + i;
+#endif
                 let mean_q1 = q1.mean - p.mean;
                 let mean_q2 = q2.mean - p.mean;
                 let spread_q1 = q1.spread - p.spread;
@@ -341,10 +346,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 }
                 let small_members = small_members_y * patch_members(x, dx, extent.x, SMALL_RADIUS);
                 let small_weights = color_weights(small_patch, small_changes, small_members, both_inside);
-                smalls[i] = added(smalls[i], select(none, min(small_weights.ahead, vec4<f32>(feature_q1)), q1_inside),
-                    mean_q1, spread_q1);
-                smalls[i] = added(smalls[i], select(none, min(small_weights.behind, vec4<f32>(feature_q2)), q2_inside),
-                    mean_q2, spread_q2);
+                let small_q1 = select(none, min(small_weights.ahead, vec4<f32>(feature_q1)), q1_inside);
+                let small_q2 = select(none, min(small_weights.behind, vec4<f32>(feature_q2)), q2_inside);
+                smalls[i] = added(smalls[i], small_q1, mean_q1, spread_q1);
+                smalls[i] = added(smalls[i], small_q2, mean_q2, spread_q2);
+#ifdef WEIGHTS
+                by_color = vec4<f32>(small_q1.x, small_q2.x, 0.0, 0.0);
+#endif
 #endif
 #ifdef LARGE
                 var large_patch = zero;
@@ -353,10 +361,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 }
                 let large_members = large_members_y * patch_members(x, dx, extent.x, LARGE_RADIUS);
                 let large_weights = color_weights(large_patch, large_changes, large_members, both_inside);
-                larges[i] = added(larges[i], select(none, min(large_weights.ahead, vec4<f32>(feature_q1)),
-                    q1_inside), mean_q1, spread_q1);
-                larges[i] = added(larges[i], select(none, min(large_weights.behind, vec4<f32>(feature_q2)),
-                    q2_inside), mean_q2, spread_q2);
+                let large_q1 = select(none, min(large_weights.ahead, vec4<f32>(feature_q1)), q1_inside);
+                let large_q2 = select(none, min(large_weights.behind, vec4<f32>(feature_q2)), q2_inside);
+                larges[i] = added(larges[i], large_q1, mean_q1, spread_q1);
+                larges[i] = added(larges[i], large_q2, mean_q2, spread_q2);
+#ifdef WEIGHTS
+                state[at_weights] = vec4<f32>(by_color.xy, large_q1.x, large_q2.x);
+#endif
 #endif
 #ifdef FEATURES_ALONE
                 let alone_q1 = select(0.0, exp(-alone_distance_q1), q1_inside);
@@ -369,6 +380,14 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 let spread_sum = before.xyz;
 #endif
                 alone_spreads[i] = vec4<f32>(spread_sum, max(before.w, max(alone_q1, alone_q2)));
+#ifdef WEIGHTS
+#ifdef LARGE
+                let behind_others = nlm.offsets.x * nlm.offsets.y * nlm.rows * nlm.stride;
+#else
+                let behind_others = 0;
+#endif
+                state[at_weights + behind_others] = vec4<f32>(alone_q1, alone_q2, 0.0, 0.0);
+#endif
 #endif
             }
         }

@@ -30,6 +30,7 @@ struct KeepCleanParams {
 #endif
 // The filtered signal, two planes.
 @group(0) @binding(3) var<storage, read> filtered: array<vec4<f32>>;
+// The w of the half spread becomes the share of the filtered signal in the pixel, 0 to 1.
 @group(0) @binding(4) var<storage, read_write> kept: array<vec4<f32>>;
 #ifdef ERROR
 // Changed in place: the error of a pixel with a limit is at most its noise plus the squared limit.
@@ -99,14 +100,14 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let allowed = allowed_at(p);
     if allowed == ANY {
         kept[at] = mean;
-        kept[pixels + at] = spread;
+        kept[pixels + at] = vec4<f32>(spread.xyz, 1.0);
         return;
     }
     let correction = mean.xyz - own;
     let squared = dot(correction, correction);
     let share = select(1.0, sqrt(allowed / squared), squared > allowed);
-    kept[at] = vec4<f32>(own + share * correction, mean.w);
-    kept[pixels + at] = vec4<f32>(own_spread + share * (spread.xyz - own_spread), spread.w);
+    kept[at] = vec4<f32>(mix(own, mean.xyz, share), mean.w);
+    kept[pixels + at] = vec4<f32>(mix(own_spread, spread.xyz, share), share);
 #ifdef ERROR
     // The pixel moves by at most the allowed correction, so its error is at most its noise plus the square of the
     // correction.

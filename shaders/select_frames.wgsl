@@ -23,7 +23,8 @@ struct SelectFramesParams {
 // noise of what is averaged, the centre's share 1 / Σ w is the derivative.
 @group(0) @binding(3) var<storage, read> alone: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> alone_derivatives: array<vec4<f32>>;
-// The same over all frames; they become the chosen ones.
+// The same over all frames; they become the chosen ones. The w of the half spread becomes 1 where the own frame alone
+// is chosen.
 @group(0) @binding(5) var<storage, read_write> together: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> derivatives: array<vec4<f32>>;
 #ifndef WEIGHT_SUMS
@@ -58,9 +59,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             together[of_candidate] = alone[of_candidate];
             derivatives[of_candidate] = alone_derivatives[of_candidate];
 #ifdef WEIGHT_SUMS
-            together[pixels + at] = alone[pixels + at];
+            together[pixels + at] = vec4<f32>(alone[pixels + at].xyz, 1.0);
 #else
-            spreads[of_candidate] = alone_spreads[of_candidate];
+            spreads[of_candidate] = vec4<f32>(alone_spreads[of_candidate].xyz, 1.0);
 #endif
         }
     }

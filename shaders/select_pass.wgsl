@@ -17,6 +17,7 @@ struct SelectPassParams {
 @group(0) @binding(2) var<storage, read> pass2: array<vec4<f32>>;
 // Variance of the mean of the input.
 @group(0) @binding(3) var<storage, read> variance_of_mean: array<vec4<f32>>;
+// The w of the half spread becomes 1 where the second pass is chosen, else 0.
 @group(0) @binding(4) var<storage, read_write> result: array<vec4<f32>>;
 
 @compute @workgroup_size(32, 2, 1)
@@ -34,9 +35,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let noise = dot(variance_of_mean[at].xyz, vec3<f32>(1.0)) + dot(spread.xyz, spread.xyz);
     if dot(correction, correction) > params.squared_sigmas * noise {
         result[at] = mean;
-        result[pixels + at] = spread;
+        result[pixels + at] = vec4<f32>(spread.xyz, 0.0);
     } else {
         result[at] = pass2[at];
-        result[pixels + at] = pass2[pixels + at];
+        result[pixels + at] = vec4<f32>(pass2[pixels + at].xyz, 1.0);
     }
 }

@@ -16,8 +16,8 @@
 @group(0) @binding(4) var<storage, read_write> repaired_variance: array<vec4<f32>>;
 #endif
 @group(0) @binding(5) var<storage, read_write> repaired: array<vec4<f32>>;
-// Three planes, of which two are written here: the amount taken from each pixel, 0 for a pixel that is no spike; then,
-// in w, 1 for a pixel with noise, else 0.
+// Three planes: the amount taken from each pixel, 0 for a pixel that is no spike; then, in w, 1 for a pixel with noise,
+// else 0; then, in z, the brightness of the brightest neighbour that counts for the level.
 @group(0) @binding(6) var<storage, read_write> spikes: array<vec4<f32>>;
 // Two planes: the mean of a light, in w its variance, summed over the channels; and its half spread, in w 1 for a
 // light, else 0.
@@ -138,6 +138,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     spikes[at_p] = vec4<f32>(excess, 0.0);
     spikes[pixels + at_p] = vec4<f32>(0.0, 0.0, 0.0, select(0.0, 1.0, is_noisy));
+    spikes[2 * pixels + at_p] = vec4<f32>(0.0, 0.0, bright, 0.0);
     lights[at_p] = aside;
     lights[pixels + at_p] = aside_spread;
 #ifdef VARIANCE

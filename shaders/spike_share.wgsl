@@ -9,7 +9,8 @@
 #import stein::spike_kind::{params, is_like}
 
 // Output of spike_find: the amount taken from each pixel. Here w becomes the part of this amount that other pixels get;
-// the second plane becomes the amount that one of them would get at the position of the spike.
+// the second plane becomes the amount that one of them would get at the position of the spike, and the y of the third
+// the number of those pixels, each as far as it gets a part.
 @group(0) @binding(1) var<storage, read_write> spikes: array<vec4<f32>>;
 // Output of spike_level.
 @group(0) @binding(3) var<storage, read> levels: array<vec4<f32>>;
@@ -28,11 +29,11 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let excess = max(taken, vec3<f32>(0.0));
     var part = 0.0;
     var share = vec3<f32>(0.0);
+    var members = 0.0;
     if any(taken != vec3<f32>(0.0)) {
         let first = max(p - params.spread_radius, vec2<i32>(0));
         let last = min(p + params.spread_radius, extent - 1);
         let level = levels[at_p].x;
-        var members = 0.0;
         var member_levels = 0.0;
         for (var y = first.y; y <= last.y; y++) {
             for (var x = first.x; x <= last.x; x++) {
@@ -54,4 +55,5 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     spikes[at_p].w = part;
     spikes[pixels + at_p] = vec4<f32>(share, 0.0);
+    spikes[2 * pixels + at_p].y = members;
 }

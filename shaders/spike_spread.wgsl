@@ -6,8 +6,8 @@
 #import stein::spike_kind::{params, is_like}
 
 // The first plane holds the amount taken from each pixel. The second holds the amount that a pixel of the spike's kind
-// gets at the spike's position, and in w 1 if a spike lies in the row around the pixel. The third is written: in x the
-// squares of the parts, summed over spikes and channels.
+// gets at the spike's position, and in w 1 if a spike lies in the row around the pixel. The x of the
+// third is written: the squares of the parts, summed over spikes and channels.
 @group(0) @binding(1) var<storage, read_write> spikes: array<vec4<f32>>;
 // Output of spike_level.
 @group(0) @binding(3) var<storage, read> levels: array<vec4<f32>>;
@@ -24,7 +24,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let at_q = pixel_index(q, extent);
     let own = levels[at_q];
     if own.y == 0.0 {
-        spikes[2 * pixels + at_q] = vec4<f32>(0.0);
+        spikes[2 * pixels + at_q].x = 0.0;
         return;
     }
     let first = max(q - params.spread_radius, vec2<i32>(0));
@@ -46,6 +46,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             }
         }
     }
-    spikes[2 * pixels + at_q] = vec4<f32>(squares, 0.0, 0.0, 0.0);
+    spikes[2 * pixels + at_q].x = squares;
     repaired[at_q] = vec4<f32>(repaired[at_q].xyz + sum, repaired[at_q].w);
 }

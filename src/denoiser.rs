@@ -2,19 +2,19 @@
 
 mod kernels;
 
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, Range};
 use std::time::Instant;
 
 use glam::{IVec2, Vec3};
 
 use crate::error::{Error, RequestCause, Result};
-use crate::frame::{Feature, Frame, NoiseKnowledge};
+use crate::frame::{Feature, Frame, NoiseKnowledge, PayloadKind, PayloadLayer};
 use crate::gpu::{Buffer, Gpu, Pace, Recorder, Run, StageTime, StepTime, sum_over_steps};
 use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::Image;
 use crate::method::{
-    DeviceMemory, Facts, Footprint, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan,
-    Share, SpikeReport, Strip, Unit, Units, Wishes, strips,
+    DeviceMemory, Facts, Footprint, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method,
+    PayloadLeft, PayloadPlace, Plan, Share, SpikeReport, Strip, Unit, Units, Wishes, strips,
 };
 use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::frames::Frames;
@@ -123,17 +123,6 @@ pub struct DenoisedLayer {
     pub left: Option<PayloadLeft>,
 }
 
-/// Reason why a payload layer is as it was.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PayloadLeft {
-    /// All its pixels are equal, so that no filter changes them.
-    Constant,
-    /// A frame beside lacks the layer.
-    LackedBeside,
-    /// No pixel of the colour has noise, so that the frame is copied.
-    NoNoise,
-}
-
 /// Memory that the work on a frame takes, and reach of its results. Found by a dry run of the method, which records the
 /// same work without memory and commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -222,7 +211,7 @@ impl Denoiser {
     /// As [`Denoiser::denoise_window`]; [`Error::Device`] where not even one row fits into the memory.
     pub fn plan(&self, frames: &[&Frame], centre: usize, options: &Options) -> Result<Plan> {
         let window = self.checked_window(frames, centre)?;
-        let units = Units::of_window(&window, self.method.uses_features(), 1.0);
+        let units = Units::of_window(&window, &self.method, 1.0);
         self.plan_in(&window, &units, options).map(|(plan, _)| plan)
     }
 
@@ -233,25 +222,59 @@ impl Denoiser {
         let plan = self.method.plan(&facts, &wishes);
         let analysis_seconds = start.elapsed().as_secs_f64();
         let cut = self.cut(window, units, &plan, options)?;
-        Ok((Plan { strips: cut.strips.len(), analysis_seconds, ..plan }, cut))
+        Ok((Plan { strips: cut.strips.len(), rounds: cut.rounds, analysis_seconds, ..plan }, cut))
     }
 
-    /// Cuts the frame into strips whose buffers fit.
+    /// Cuts the frame into strips whose buffers fit. Layers that are filtered along may be too many for strips of
+    /// reasonable height. Then they are distributed over several rounds, each of which filters the colour anew.
     fn cut(&self, window: &Frames<&Frame>, units: &Units, plan: &Plan, options: &Options) -> Result<Cut> {
+        let mut best = self.cut_for(window, units, plan, options, 1);
+        let mut tried = 1;
+        loop {
+            let rounds = (2 * tried).min(units.payload.groups());
+            // One strip is all that more rounds could achieve.
+            if rounds <= tried || best.as_ref().is_ok_and(|cut| cut.strips.len() == 1) {
+                return best;
+            }
+            tried = rounds;
+            let other = self.cut_for(window, units, plan, options, rounds);
+            let rows = |cut: &Cut| cut.rounds * cut.strips.iter().map(Strip::rows_with_halo).sum::<usize>();
+            let is_better = match (&best, &other) {
+                (Ok(best), Ok(other)) => rows(other) < rows(best),
+                (Err(_), Ok(_)) => true,
+                (_, Err(_)) => false,
+            };
+            if is_better {
+                best = other;
+            }
+        }
+    }
+
+    /// Cuts the frame into strips whose buffers fit with the layers of one of so many rounds.
+    fn cut_for(
+        &self,
+        window: &Frames<&Frame>,
+        units: &Units,
+        plan: &Plan,
+        options: &Options,
+        rounds: usize,
+    ) -> Result<Cut> {
         let extent = window.own.extent();
-        let dry_run = |limit, strips: &[Strip]| self.dry_run(window, units, plan, limit, strips);
+        let groups = units.payload.groups().div_ceil(rounds);
+        let dry_run = |limit, strips: &[Strip]| self.dry_run(window, units, groups, plan, limit, strips);
         let whole = dry_run(self.max_memory, &[Strip::whole(extent)])?;
         let memory = self.memory(window.own, whole.kept_planes, options)?;
         let limit = memory.bytes();
         let (strips, footprint) = strips(&self.gpu, extent, memory, whole, |strips| dry_run(limit, strips))?;
-        Ok(Cut { strips, footprint, limit })
+        Ok(Cut { strips, footprint, limit, rounds, groups })
     }
 
-    /// Runs the method dry on these strips, one after the other.
+    /// Runs the method dry on these strips, one after the other, with this many groups of layers.
     fn dry_run(
         &self,
         window: &Frames<&Frame>,
         units: &Units,
+        groups: usize,
         plan: &Plan,
         memory_limit: Option<u64>,
         strips: &[Strip],
@@ -261,7 +284,7 @@ impl Denoiser {
         // Nothing runs for a frame that is copied.
         for strip in strips.iter().filter(|_| !plan.copies_the_frame()) {
             let mut rec = self.gpu.record_in(&run);
-            let upload = |frame| FrameInput::upload(&mut rec, frame, Some(Vec3::ZERO), strip, units, plan);
+            let upload = |frame| FrameInput::upload(&mut rec, frame, Some(Vec3::ZERO), strip, units, 0..groups, plan);
             let inputs = window.clone().try_map(upload)?;
             let plan = plan.starting_at(IVec2::new(0, strip.first_with_halo as i32));
             let estimate = self.method.record(&mut rec, inputs, &plan, self.schedule, |_, _| Ok(()))?;
@@ -279,7 +302,9 @@ impl Denoiser {
             Method::Gem(_) | Method::Nlm(_) => 0,
         };
         let planes_of_halves = if frame.color().half_spread.is_some() { 3 } else { 0 };
-        let planes_of_result = 3 + planes_of_halves + u64::from(options.error) + 1 + planes_of_shares;
+        let planes_of_payload = frame.payload().iter().map(|layer| layer.mean.channels() as u64).sum::<u64>();
+        let planes_of_result =
+            3 + planes_of_halves + u64::from(options.error) + 1 + planes_of_shares + planes_of_payload;
         let host = frame.extent().pixels() as u64 * 4 * (planes_of_result + kept_planes)
             + TRANSFER_BYTES.min(frame.extent().pixels() as u64 * 64);
         let free = FreeMemory::now();
@@ -294,7 +319,7 @@ impl Denoiser {
     /// As [`Denoiser::plan`].
     pub fn requirements(&self, frames: &[&Frame], centre: usize, options: &Options) -> Result<Requirements> {
         let window = self.checked_window(frames, centre)?;
-        let units = Units::of_window(&window, self.method.uses_features(), 1.0);
+        let units = Units::of_window(&window, &self.method, 1.0);
         let (_, Cut { strips, footprint, .. }) = self.plan_in(&window, &units, options)?;
         let Footprint { halo, peak_bytes, .. } = footprint;
         Ok(Requirements { peak_bytes, halo, strips: strips.len() })
@@ -335,11 +360,11 @@ impl Denoiser {
     pub fn denoise_window(&self, frames: &[&Frame], centre: usize, options: Options) -> Result<Estimate> {
         let window = self.checked_window(frames, centre)?;
         let frame = window.own;
-        let units = Units::of_window(&window, self.method.uses_features(), exposure(frame));
+        let units = Units::of_window(&window, &self.method, exposure(frame));
         let with_mean_variance = window.clone().map(|frame| (frame, self.method.mean_variance(frame, units.exposure)));
         // Idle buffers of an earlier frame of another size would count against the limit.
         self.gpu.trim();
-        let (plan, Cut { strips, limit, .. }) = self.plan_in(&window, &units, &options)?;
+        let (plan, Cut { strips, limit, rounds, groups, .. }) = self.plan_in(&window, &units, &options)?;
         let Options { error, mut progress, pace, .. } = options;
         let run = Run::new(limit);
         let out_of_memory = |shortage: Shortage| shortage.error("the result");
@@ -348,14 +373,24 @@ impl Denoiser {
             assembly.copy();
             return Ok(assembly.finish(plan, None, 0));
         }
-        for (index, strip) in strips.iter().enumerate() {
+        // Rounds after the first only filter further layers.
+        let of_further_rounds = (rounds > 1).then(|| {
+            let facts = Facts::of_window(&window, &units, self.method.uses_features());
+            self.method.plan(&facts, &Wishes { keep: &[], error: false, everything: self.everything })
+        });
+        let parts = (0..rounds).flat_map(|round| strips.iter().map(move |strip| (round, strip)));
+        for (index, (round, strip)) in parts.enumerate() {
+            let groups =
+                (round * groups).min(units.payload.groups())..((round + 1) * groups).min(units.payload.groups());
+            let plan = of_further_rounds.as_ref().filter(|_| round > 0).unwrap_or(&plan);
             let mut rec = self.gpu.record_in(&run);
             if let Some(pace) = &pace {
                 rec.set_pace(pace.clone());
             }
             let plan = plan.starting_at(IVec2::new(0, strip.first_with_halo as i32));
-            let upload =
-                |(frame, mean_variance)| FrameInput::upload(&mut rec, frame, mean_variance, strip, &units, &plan);
+            let upload = |(frame, mean_variance)| {
+                FrameInput::upload(&mut rec, frame, mean_variance, strip, &units, groups.clone(), &plan)
+            };
             let on_gpu = with_mean_variance.clone().try_map(upload)?;
             let extent = on_gpu.own.extent;
             let report = |rec: &mut Recorder, share: f32| match &mut progress {
@@ -364,13 +399,16 @@ impl Denoiser {
                     // Work is reported as done only after the device has done it.
                     rec.flush()?;
                     rec.gpu().wait()?;
-                    let done = (index as f32 + share) / strips.len() as f32;
+                    let done = (index as f32 + share) / (rounds * strips.len()) as f32;
                     if progress(done).is_break() { Err(Error::Cancelled) } else { Ok(()) }
                 }
             };
             let estimate = self.method.record(&mut rec, on_gpu, &plan, self.schedule, report)?;
             rec.submit()?;
-            assembly.add(&self.gpu, &estimate, extent, strip)?;
+            if round == 0 {
+                assembly.add(&self.gpu, &estimate, extent, strip)?;
+            }
+            assembly.add_payload(&self.gpu, &estimate, groups, extent, strip)?;
         }
         let step_times = self.gpu.step_timings(&run)?;
         Ok(assembly.finish(plan, step_times, run.peak_bytes()))
@@ -420,6 +458,10 @@ struct Cut {
     strips: Vec<Strip>,
     footprint: Footprint,
     limit: Option<u64>,
+    /// Number of rounds over the strips, each with other layers.
+    rounds: usize,
+    /// The most groups of layers in a round.
+    groups: usize,
 }
 
 /// Largest number of bytes in transfer between host and device at one time, and in copies of them on the host.
@@ -474,6 +516,8 @@ struct Assembly<'a> {
     error: Option<Image>,
     weight_sum: Image,
     spikes: Option<FoundSpikes>,
+    /// Layers of the frame's payload, with their places on the device.
+    payload: Vec<(DenoisedLayer, Option<PayloadPlace>)>,
     layers: Vec<Layer>,
 }
 
@@ -488,6 +532,14 @@ struct FoundSpikes {
 impl<'a> Assembly<'a> {
     fn new(frame: &'a Frame, units: &'a Units, with_error: bool) -> std::result::Result<Self, Shortage> {
         let image = |channels| Image::try_filled(frame.extent(), channels, 0.0);
+        let denoised = |(layer, place): &(&PayloadLayer, _)| {
+            let image = match place {
+                Ok(_) => image(layer.mean.channels())?,
+                Err(_) => layer.mean.clone(),
+            };
+            Ok((DenoisedLayer { name: layer.name.clone(), image, left: place.err() }, place.ok()))
+        };
+        let payload = units.payload.layers.iter().map(denoised).collect::<std::result::Result<_, _>>()?;
         Ok(Self {
             frame,
             exposure: units.exposure,
@@ -499,6 +551,7 @@ impl<'a> Assembly<'a> {
             error: with_error.then(|| image(1)).transpose()?,
             weight_sum: image(1)?,
             spikes: None,
+            payload,
             layers: Vec::new(),
         })
     }
@@ -514,23 +567,39 @@ impl<'a> Assembly<'a> {
             planes.for_each(|(copy, plane)| copy.copy_from_slice(plane));
         }
         self.weight_sum.planes[0].fill(1.0);
+        for ((denoised, _), layer) in self.payload.iter_mut().zip(self.frame.payload()) {
+            denoised.image.clone_from(&layer.mean);
+            denoised.left.get_or_insert(PayloadLeft::NoNoise);
+        }
+    }
+
+    /// Adds the layers of these groups, which are the groups of the estimate.
+    fn add_payload(
+        &mut self,
+        gpu: &Gpu,
+        estimate: &GpuEstimate,
+        groups: Range<usize>,
+        extent: IVec2,
+        strip: &Strip,
+    ) -> Result<()> {
+        let rows = Rows { gpu, extent, strip };
+        for (layer, place) in &mut self.payload {
+            let Some((place, (group, plane))) = place.map(|place| (place, place.in_group())) else { continue };
+            if groups.contains(&group) {
+                let buffer = &estimate.payload[group - groups.start].buffer;
+                rows.place(buffer, plane, place.lane as u32, (1.0, 0.0), &mut layer.image)?;
+            }
+        }
+        Ok(())
     }
 
     fn add(&mut self, gpu: &Gpu, estimate: &GpuEstimate, extent: IVec2, strip: &Strip) -> Result<()> {
         let frame_extent = self.frame.extent();
         let width = frame_extent.width as usize;
-        // Reads the rows of a plane that the strip contributes, piece by piece: `take` gets the position of the first
-        // pixel of a piece among these rows, and the pixels.
-        let read = |buffer: &Buffer, plane: u32, take: &mut dyn FnMut(usize, &[f32])| -> Result<()> {
-            let first = u64::from(plane) * extent.x as u64 * extent.y as u64
-                + ((strip.first - strip.first_with_halo) * width) as u64;
-            gpu.read_with(buffer, first * PLANE_PIXEL_BYTES, (strip.end - strip.first) * width * 4, |first, values| {
-                take(first / 4, values);
-            })
-        };
+        let rows = Rows { gpu, extent, strip };
         if let Some(spikes) = &estimate.spikes {
             let found = self.spikes.get_or_insert_default();
-            read(spikes, 0, &mut |_, values| {
+            rows.read(spikes, 0, &mut |_, values| {
                 for pixel in values.chunks_exact(4).filter(|pixel| pixel[..3] != [0.0; 3]) {
                     let taken: f64 = pixel[..3].iter().map(|value| f64::from(*value)).sum();
                     found.pixels += 1;
@@ -539,31 +608,20 @@ impl<'a> Assembly<'a> {
                 }
             })?;
         }
-        // Reads a plane and puts it into an image, beginning with one of its components.
-        let place = |buffer: &Buffer,
-                     plane: u32,
-                     component: u32,
-                     (factor, offset): (f32, f32),
-                     image: &mut Image|
-         -> Result<()> {
-            read(buffer, plane, &mut |first, values| {
-                place(values, component as usize, factor, offset, strip.first * width + first, image);
-            })
-        };
         let out_of_memory = |shortage: Shortage| shortage.error("the result");
         let number = (1.0, 0.0);
         let color = (1.0 / self.exposure, 0.0);
         let squared = (color.0 * color.0, 0.0);
 
-        place(&estimate.signal, 0, 0, color, &mut self.color)?;
+        rows.place(&estimate.signal, 0, 0, color, &mut self.color)?;
         if let Some(half_spread) = &mut self.half_spread {
-            place(&estimate.signal, 1, 0, color, half_spread)?;
+            rows.place(&estimate.signal, 1, 0, color, half_spread)?;
         }
         if let (Some(error), Some(Lane { buffer, plane, component })) = (&mut self.error, &estimate.error) {
-            place(buffer, *plane, *component, squared, error)?;
+            rows.place(buffer, *plane, *component, squared, error)?;
         }
         let Lane { buffer, plane, component } = &estimate.weight_sum;
-        place(buffer, *plane, *component, number, &mut self.weight_sum)?;
+        rows.place(buffer, *plane, *component, number, &mut self.weight_sum)?;
         if let Some(shares) = &estimate.selection {
             let selection = match &mut self.selection {
                 Some(selection) => selection,
@@ -576,10 +634,15 @@ impl<'a> Assembly<'a> {
                 match share {
                     Share::None => {}
                     Share::Whole => to.fill(1.0),
-                    Share::Lane(Lane { buffer, plane, component }) => read(buffer, *plane, &mut |first, values| {
-                        let pixels = values.chunks_exact(4).map(|pixel| pixel[*component as usize]);
-                        to[strip.first * width + first..].iter_mut().zip(pixels).for_each(|(to, share)| *to = share);
-                    })?,
+                    Share::Lane(Lane { buffer, plane, component }) => {
+                        rows.read(buffer, *plane, &mut |first, values| {
+                            let pixels = values.chunks_exact(4).map(|pixel| pixel[*component as usize]);
+                            to[strip.first * width + first..]
+                                .iter_mut()
+                                .zip(pixels)
+                                .for_each(|(to, share)| *to = share);
+                        })?
+                    }
                 }
             }
         }
@@ -602,7 +665,7 @@ impl<'a> Assembly<'a> {
                 Unit::Feature(index) => (self.features[index].unit_scale, self.features[index].unit_offset),
                 Unit::FeatureSquared(index) => (self.features[index].unit_scale.powi(2), 0.0),
             };
-            place(&kept.buffer, kept.plane, 0, unit, &mut layer.image)?;
+            rows.place(&kept.buffer, kept.plane, 0, unit, &mut layer.image)?;
         }
         Ok(())
     }
@@ -619,8 +682,18 @@ impl<'a> Assembly<'a> {
             error,
             weight_sum,
             spikes,
+            payload,
             layers,
         } = self;
+        let kinds = frame.payload().iter().map(|layer| layer.kind);
+        let payload = payload.into_iter().zip(kinds).map(|((mut layer, _), kind)| {
+            if kind == PayloadKind::Alpha && layer.left.is_none() {
+                // A spike may take more of the opacity of its surroundings along than there is.
+                layer.image.planes.iter_mut().flatten().for_each(|value| *value = value.clamp(0.0, 1.0));
+            }
+            layer
+        });
+        let payload = payload.collect();
         let features = features.iter().map(|feature| feature.name.clone()).collect();
         let spikes = spikes.map(|FoundSpikes { pixels, taken, spread }| {
             let energy: f64 = frame.color().mean.planes.iter().flatten().map(|value| f64::from(*value)).sum();
@@ -628,12 +701,6 @@ impl<'a> Assembly<'a> {
             let share = |scaled: f64| if energy > 0.0 { scaled / f64::from(exposure) / energy } else { 0.0 };
             SpikeReport { pixels, taken: share(taken), spread: share(spread) }
         });
-        let payload = frame.payload().iter().map(|layer| DenoisedLayer {
-            name: layer.name.clone(),
-            image: layer.mean.clone(),
-            left: Some(PayloadLeft::NoNoise),
-        });
-        let payload = payload.collect();
         let strips = plan.strips;
         Estimate {
             color,
@@ -652,6 +719,43 @@ impl<'a> Assembly<'a> {
             step_times,
             peak_bytes,
         }
+    }
+}
+
+/// The rows that a strip contributes to a result.
+struct Rows<'a> {
+    gpu: &'a Gpu,
+    /// Width and height of the strip with its halo.
+    extent: IVec2,
+    strip: &'a Strip,
+}
+
+impl Rows<'_> {
+    /// Reads the rows of a plane, piece by piece: `take` gets the position of the first pixel of a piece among these
+    /// rows, and the pixels.
+    fn read(&self, buffer: &Buffer, plane: u32, take: &mut dyn FnMut(usize, &[f32])) -> Result<()> {
+        let Self { gpu, extent, strip } = self;
+        let width = extent.x as usize;
+        let first = u64::from(plane) * extent.x as u64 * extent.y as u64
+            + ((strip.first - strip.first_with_halo) * width) as u64;
+        gpu.read_with(buffer, first * PLANE_PIXEL_BYTES, (strip.end - strip.first) * width * 4, |first, values| {
+            take(first / 4, values);
+        })
+    }
+
+    /// Reads the rows of a plane and puts them into an image, beginning with one of the plane's components.
+    fn place(
+        &self,
+        buffer: &Buffer,
+        plane: u32,
+        component: u32,
+        (factor, offset): (f32, f32),
+        image: &mut Image,
+    ) -> Result<()> {
+        let first_of_strip = self.strip.first * self.extent.x as usize;
+        self.read(buffer, plane, &mut |first, values| {
+            place(values, component as usize, factor, offset, first_of_strip + first, image);
+        })
     }
 }
 

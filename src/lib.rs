@@ -73,12 +73,12 @@ pub mod sampling;
 pub mod stage;
 pub mod text;
 
-pub use denoiser::{DenoisedLayer, Denoiser, Estimate, Layer, Options, PayloadLeft, Requirements};
+pub use denoiser::{DenoisedLayer, Denoiser, Estimate, Layer, Options, Requirements};
 pub use error::{Error, Result};
 pub use frame::Frame;
 pub use gpu::Gpu;
 pub use image::{Extent, Image};
 pub use method::kernels::{self, FilterKernel, Kernels};
-pub use method::{DfcParams, GemParams, Method, NlmParams, Preset};
+pub use method::{DfcParams, GemParams, Method, NlmParams, PayloadLeft, Preset};
 /// The crates whose types this library's public interface uses.
 pub use {glam, wgpu};

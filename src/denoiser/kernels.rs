@@ -46,7 +46,7 @@ impl Denoiser {
             Region::around(pixel, reach, IVec2::new(extent.width as i32, extent.height as i32));
         let part = Window { x: first.x, y: first.y, extent: Extent { width: size.x as u32, height: size.y as u32 } };
         let part_of_frame = frame.cropped(part);
-        let units = Units::of_window(&Frames::one(&part_of_frame), self.method.uses_features(), exposure(frame));
+        let units = Units::of_window(&Frames::one(&part_of_frame), &self.method, exposure(frame));
         let all_of_it = Strip::whole(part.extent);
         let mut rec = self.gpu.record_in(&Run::new(self.max_memory));
         if let Some(pace) = &options.pace {
@@ -55,7 +55,8 @@ impl Denoiser {
         let plan_of_part = plan.starting_at(first);
         // The mean variance is fixed for the whole frame, not for the part.
         let mean_variance = self.method.mean_variance(frame, units.exposure);
-        let on_gpu = FrameInput::upload(&mut rec, &part_of_frame, mean_variance, &all_of_it, &units, &plan_of_part)?;
+        let on_gpu =
+            FrameInput::upload(&mut rec, &part_of_frame, mean_variance, &all_of_it, &units, 0..0, &plan_of_part)?;
         let kernels = self.method.kernels(&mut rec, on_gpu, pixel - first, &plan_of_part, self.schedule)?;
         rec.submit()?;
 
@@ -72,10 +73,10 @@ impl Denoiser {
 
     /// Returns how far the kernels at a pixel depend on the frame, in pixels, found by a dry run.
     fn reach_of_kernels(&self, frame: &Frame, pixel: IVec2, plan: &Plan) -> Result<u32> {
-        let units = Units::of_window(&Frames::one(frame), self.method.uses_features(), 1.0);
+        let units = Units::of_window(&Frames::one(frame), &self.method, 1.0);
         let mut rec = self.gpu.record_in(&Run::dry(None));
         let whole = Strip::whole(frame.extent());
-        let dry = FrameInput::upload(&mut rec, frame, Some(Vec3::ZERO), &whole, &units, plan)?;
+        let dry = FrameInput::upload(&mut rec, frame, Some(Vec3::ZERO), &whole, &units, 0..0, plan)?;
         let kernels = self.method.kernels(&mut rec, dry, pixel, plan, self.schedule)?;
         Ok(kernels.iter().map(|kernel| kernel.reach().max_element()).max().unwrap_or(0))
     }

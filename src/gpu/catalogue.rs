@@ -75,4 +75,11 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "scale_stop",
     "scale_advance",
     "scale_reduction",
+    "payload_level",
+    "payload_spread",
+    "payload_accumulate",
+    "payload_blend",
+    "payload_mix",
+    "payload_scale",
+    "payload_half",
 );

@@ -117,6 +117,14 @@ impl Recorder {
         self.step = Arc::from(name);
     }
 
+    /// Names the step that the dispatches of `record` belong to, and returns to the step before.
+    pub(crate) fn in_step<T>(&mut self, name: &str, record: impl FnOnce(&mut Self) -> T) -> T {
+        let before = std::mem::replace(&mut self.step, Arc::from(name));
+        let result = record(self);
+        self.step = before;
+        result
+    }
+
     /// Takes a storage buffer of at least `bytes` bytes from the pool. Its content is arbitrary: zeros, another stage's
     /// image, or poison.
     ///

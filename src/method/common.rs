@@ -6,12 +6,14 @@ use glam::IVec2;
 
 use super::GpuSignal;
 use super::estimate::Lane;
+use super::payload::Payload;
 use super::plan::PlannedStep;
 use super::spikes::Found;
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::keep_clean::{CleanRule, Input, keep_clean};
 use crate::stage::nlm::Guide;
+use crate::stage::payload::{MixShare, PAYLOAD_STEP, PayloadGroup, payload_mix};
 use crate::stage::spike::light_return;
 use crate::stage::variance::{BoxWeight, Floor, INPUT_SMOOTHING, variance_floor, variance_scale, variance_smooth};
 
@@ -67,24 +69,34 @@ pub(super) fn guide_variance(
 
 /// Returns the result with some pixels as they were in the input: pixels without noise, if the plan runs that step, and
 /// lights of few pixels, if the method looked for them. `error` is changed to the error of these pixels. `color` is the
-/// input without spikes and lights.
+/// input without spikes and lights, `payload` the layers that are filtered along with it. The layers in `result` keep
+/// the same pixels.
+#[expect(clippy::too_many_arguments, reason = "they are the data of the last steps; a struct would only rename them")]
 pub(super) fn with_input_kept(
     rec: &mut Recorder,
     extent: IVec2,
     color: &GpuSignal,
+    payload: &Payload,
     found: Option<&Found>,
-    mut result: Arc<Buffer>,
+    result: (Arc<Buffer>, Vec<PayloadGroup>),
     error: Option<&Lane>,
     clean: &PlannedStep,
-) -> Result<Arc<Buffer>> {
+) -> Result<(Arc<Buffer>, Vec<PayloadGroup>)> {
+    let (mut result, mut layers) = result;
     let errors = error.map(|lane| (&*lane.buffer, lane.component));
     if clean.runs {
         clean.begin(rec);
         let input = Input { signal: &color.signal, sample_variance: color.variance_of_mean.as_deref() };
         result = Arc::new(keep_clean(rec, extent, input, &result, errors, CleanRule::DEFAULT)?);
+        layers = rec.in_step(PAYLOAD_STEP, |rec| {
+            payload_mix(rec, extent, &payload.repaired, &layers, MixShare::OfSignal(&result))
+        })?;
     }
     if let Some(found) = found {
         result = Arc::new(light_return(rec, extent, &found.lights, &result, errors)?);
+        layers = rec.in_step(PAYLOAD_STEP, |rec| {
+            payload_mix(rec, extent, &layers, &payload.means(), MixShare::OfSignal(&result))
+        })?;
     }
-    Ok(result)
+    Ok((result, layers))
 }

@@ -14,6 +14,7 @@ use super::common::{Auxiliary, guide_variance, with_input_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Share, Unit};
 use super::frame::FeatureInput;
 use super::noise::estimate_noise;
+use super::payload::Payload as Along;
 use super::plan::PlannedStep;
 use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Method, Spikes};
@@ -28,6 +29,7 @@ use crate::stage::exact::Region;
 use crate::stage::feature::{Features, feature_pack};
 use crate::stage::frames::Frames;
 use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, nlm_filter};
+use crate::stage::payload::{MixShare, PAYLOAD_STEP, PayloadGroup, payload_blend, payload_mix};
 use crate::stage::sample::{GpuSamples, sample_density};
 use crate::stage::select::{
     Evidence, HARM, Noisy, Significance, WithColorOnly, select_blend, select_color_only, select_frames, select_least,
@@ -81,15 +83,16 @@ pub(crate) fn dfc(
     let params = &plan.params;
     let work = Work { params, plan, schedule, wanted: Wanted::default() };
     let mut prepared = Prepared::new(rec, frames, work, &mut keeper)?;
-    let Pass1 { candidates, selection, color_only, blend: pass1 } =
+    let Pass1 { candidates, selection, color_only, blend: pass1, mut layers } =
         Pass1::new(rec, &mut prepared, work, &mut keeper, progress)?;
-    let Prepared { extent, own: PreparedFrame { color, variance, .. }, spikes, samples, .. } = &prepared;
+    let Prepared { extent, own: PreparedFrame { color, variance, payload, .. }, spikes, samples, .. } = &prepared;
     let extent = *extent;
 
     // Second pass filtering.
     let mut result = pass1.clone();
     if let Some(pass2) = Pass2::new(rec, extent, &pass1, variance, work)? {
         keeper.keep(Intermediate::Pass1, "pass1", &RGB, Unit::Color, &pass1, 0);
+        layers = rec.in_step(PAYLOAD_STEP, |rec| pass2.payload(rec, extent, &pass1, layers, work))?;
         result = pass2.result;
     }
 
@@ -120,13 +123,16 @@ pub(crate) fn dfc(
     }
 
     let error = error.map(|buffer| Lane { buffer, plane: 0, component: 0 });
+    let (result, clean, found) = ((result, layers), &plan.keep_clean, spikes.as_ref());
+    let (signal, layers) = with_input_kept(rec, extent, color, payload, found, result, error.as_ref(), clean)?;
     Ok(GpuEstimate {
-        signal: with_input_kept(rec, extent, color, spikes.as_ref(), result, error.as_ref(), &plan.keep_clean)?,
+        signal,
         error,
         // Σ w as blended in pass 1.
         weight_sum: Lane { buffer: pass1, plane: 0, component: 3 },
         selection: Some(selection),
         spikes: spikes.as_ref().map(|found| found.spikes.clone()),
+        payload: layers,
         kept: keeper.into_kept(),
     })
 }
@@ -223,6 +229,8 @@ struct PreparedFrame {
     variance: Arc<Buffer>,
     /// Prefiltered features; `None` without features, and after the candidates are computed.
     features: Option<Features>,
+    /// Layers that are filtered along with the colour.
+    payload: Along,
 }
 
 impl PreparedFrame {
@@ -232,6 +240,7 @@ impl PreparedFrame {
             guide: None,
             variance_of_mean: &self.variance,
             features: self.features.as_ref(),
+            layers: &self.payload.repaired,
         }
     }
 }
@@ -240,9 +249,10 @@ impl Prepared {
     fn new(rec: &mut Recorder, frames: Frames<FrameInput>, work: Work, keeper: &mut Keeper) -> Result<Self> {
         let Work { params, plan, .. } = work;
         // Space-time filtering (8.6): the window gains frames. The sample counts come from the own frame.
-        let Frames { own: FrameInput { extent, color, features, samples, .. }, beside } = frames;
-        let beside = beside.into_iter().map(|frame| (frame.color, frame.features)).collect();
-        let mut frames = Frames { own: (color, features), beside };
+        let Frames { own: FrameInput { extent, color, features, samples, payload, .. }, beside } = frames;
+        let beside = beside.into_iter().map(|frame| ((frame.color, frame.features), Along::new(frame.payload)));
+        let frames = Frames { own: ((color, features), Along::new(payload)), beside: beside.collect() };
+        let (mut frames, payloads) = frames.unzip();
 
         // Variances that the frames lack.
         if let Some(noise) = plan.noise.as_ref().filter(|noise| noise.runs) {
@@ -256,17 +266,17 @@ impl Prepared {
         // Feature prefiltering.
         let (colors, features) = frames.unzip();
         let features = prefilter(rec, extent, features, work, keeper)?;
-        let mut frames = colors.zip(features);
+        let mut frames = colors.zip(features).zip(payloads);
 
         // Spikes.
         let mut of_each = None;
         if plan.spikes.runs {
             plan.spikes.begin(rec);
-            frames = frames.try_map(|(color, features)| {
-                let (color, found) = params.spikes.repair(rec, extent, color, features.as_ref())?;
+            frames = frames.try_map(|((color, features), mut payload)| {
+                let (color, found) = params.spikes.repair(rec, extent, color, features.as_ref(), &mut payload)?;
                 // The own frame comes first. Spikes of other frames are repaired, but not reported.
                 of_each.get_or_insert(found);
-                Ok::<_, Error>((color, features))
+                Ok::<_, Error>(((color, features), payload))
             })?;
         }
         let spikes = of_each.flatten();
@@ -276,10 +286,10 @@ impl Prepared {
 
         // Sample variance scaling.
         plan.variance.begin(rec);
-        let frames = frames.try_map(|(color, features)| {
+        let frames = frames.try_map(|((color, features), payload)| {
             let floor = Floor::of_color(params.keep_clean);
             let variance = guide_variance(rec, extent, &color, params.box_weight, floor)?;
-            Ok::<_, Error>(PreparedFrame { color, variance, features })
+            Ok::<_, Error>(PreparedFrame { color, variance, features, payload })
         })?;
         let Frames { own, beside } = frames;
         keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &own.variance, 0);
@@ -321,6 +331,8 @@ struct Pass1 {
     /// Filter by the colour only, if it takes part in the blend.
     color_only: Option<ColorOnly>,
     blend: Arc<Buffer>,
+    /// Layers, averaged as the colour is.
+    layers: Vec<PayloadGroup>,
 }
 
 /// The filter by the colour only: SECOND without features.
@@ -359,9 +371,14 @@ impl Pass1 {
             let noisy = Noisy { signal: &color.signal, variance_of_mean: variance };
             select_frames(rec, extent, noisy, alone, &candidates, HARM)?;
         }
-        drop(alone);
+        let sums_alone = alone.map(|alone| alone.payload);
         prepared.forget_neighbours();
-        let PreparedFrame { color, variance, .. } = &prepared.own;
+        let PreparedFrame { color, variance, payload, .. } = &prepared.own;
+        let blend_layers = |rec: &mut Recorder, shares: Option<&Buffer>| {
+            rec.in_step(PAYLOAD_STEP, |rec| {
+                payload_blend(rec, extent, shares, &candidates, &payload.repaired, sums_alone.as_deref())
+            })
+        };
         let signal = &color.signal;
         let names: Vec<&str> = candidates.filters.iter().map(|filter| filter.name).collect();
         for (place, name) in names.iter().copied().enumerate() {
@@ -388,7 +405,8 @@ impl Pass1 {
         let Some((sure, errors)) = judged.as_ref().filter(|_| plan.selection.runs) else {
             // Nothing to choose from.
             let blend = Arc::new(select_blend(rec, extent, None, &candidates)?);
-            return Ok(Self { blend, selection: None, color_only: None, candidates });
+            let layers = blend_layers(rec, None)?;
+            return Ok(Self { blend, layers, selection: None, color_only: None, candidates });
         };
         // Binary selection maps.
         plan.selection.begin(rec);
@@ -402,15 +420,17 @@ impl Pass1 {
             Evidence { selected: &selected, errors, sure, variance_of_mean: variance, candidates: &candidates };
         let selection = Arc::new(select_share(rec, extent, smoothed, evidence, params.guard)?);
         let mut blend = Arc::new(select_blend(rec, extent, Some(&selection), &candidates)?);
+        let mut layers = blend_layers(rec, Some(&selection))?;
         let mut color_only = None;
         if plan.color_only.runs {
             plan.color_only.begin(rec);
             let (found, blended) = ColorOnly::new(rec, prepared, &candidates, &selection, &blend, work, keeper)?;
+            layers = rec.in_step(PAYLOAD_STEP, |rec| found.payload(rec, extent, &payload.repaired, &layers))?;
             (color_only, blend) = (Some(found), blended);
         }
         keeper.keep_numbers(Intermediate::Selection, "selected", &names, Unit::Number, &selected);
         keeper.keep_numbers(Intermediate::Selection, "selection", &names, Unit::Number, &selection);
-        Ok(Self { candidates, selection: Some(selection), color_only, blend })
+        Ok(Self { candidates, selection: Some(selection), color_only, blend, layers })
     }
 }
 
@@ -444,6 +464,18 @@ impl ColorOnly {
         keeper.keep(Intermediate::Selection, "color_only_share", &["V"], Unit::Number, &shares, 0);
         Ok((Self { candidates: filtered, shares }, Arc::new(blended)))
     }
+
+    /// Returns the layers of the blend with this filter, from the layers of the blend without.
+    fn payload(
+        &self,
+        rec: &mut Recorder,
+        extent: IVec2,
+        given: &[PayloadGroup],
+        blend: &[PayloadGroup],
+    ) -> Result<Vec<PayloadGroup>> {
+        let own = payload_blend(rec, extent, None, &self.candidates, given, None)?;
+        payload_mix(rec, extent, blend, &own, MixShare::Plane(&self.shares))
+    }
 }
 
 /// Result of the second pass.
@@ -455,6 +487,8 @@ struct Pass2 {
     filtered: Arc<Buffer>,
     /// `filtered`, but pass 1 where the change would exceed the limit.
     result: Arc<Buffer>,
+    /// Whether there is a limit.
+    is_limited: bool,
 }
 
 impl Pass2 {
@@ -482,7 +516,36 @@ impl Pass2 {
             Some(sigmas) => Arc::new(select_pass(rec, extent, pass1, &filtered, variance, sigmas)?),
             None => filtered.clone(),
         };
-        Ok(Some(Self { filter, left_variance, filtered, result }))
+        let is_limited = most_sigmas.is_some();
+        Ok(Some(Self { filter, left_variance, filtered, result, is_limited }))
+    }
+
+    /// Filters the layers of pass 1 with the weights of the second pass.
+    fn payload(
+        &self,
+        rec: &mut Recorder,
+        extent: IVec2,
+        pass1: &Buffer,
+        layers: Vec<PayloadGroup>,
+        work: Work,
+    ) -> Result<Vec<PayloadGroup>> {
+        let Work { params, plan, schedule, .. } = work;
+        let guide = Guide {
+            grey: work.is_grey(),
+            exact: plan.second_pass.exact.as_ref(),
+            ..self.filter.guide(pass1, &self.left_variance, 3)
+        };
+        let mut filtered = |group: &PayloadGroup| {
+            let payload = Payload::new(&group.buffer, group.planes);
+            let (radius, weighting) = (self.filter.window_radius, params.weighting);
+            let filtered = nlm_filter(rec, extent, &guide, &payload, radius, weighting, false, schedule)?;
+            Ok::<_, Error>(PayloadGroup { buffer: Arc::new(filtered.planes), planes: group.planes })
+        };
+        let filtered = layers.iter().map(&mut filtered).collect::<Result<Vec<_>>>()?;
+        if !self.is_limited {
+            return Ok(filtered);
+        }
+        payload_mix(rec, extent, &layers, &filtered, MixShare::OfSignal(&self.result))
     }
 }
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use glam::UVec2;
 
 use crate::gpu::Buffer;
+use crate::stage::payload::PayloadGroup;
 
 /// Intermediates to keep for inspection. Each method has some of them:
 /// [`Method::intermediates`](super::Method::intermediates).
@@ -142,6 +143,8 @@ pub struct GpuEstimate {
     /// Amounts taken from spikes: the colour of each in x, y and z, and in w the part of the amount that the pixels
     /// around got. `None` where the method did not look for spikes.
     pub spikes: Option<Arc<Buffer>>,
+    /// The layers that were filtered along with the colour, in the groups of the frame's payload.
+    pub payload: Vec<PayloadGroup>,
     /// The requested intermediates.
     pub kept: Vec<KeptPlane>,
 }
@@ -149,7 +152,7 @@ pub struct GpuEstimate {
 impl GpuEstimate {
     /// Returns the number of columns and rows beside a pixel that the results depend on, found by a dry run.
     pub(crate) fn reach(&self) -> UVec2 {
-        let Self { signal, error, weight_sum, selection, spikes, kept } = self;
+        let Self { signal, error, weight_sum, selection, spikes, payload, kept } = self;
         let shares = selection.iter().flatten().filter_map(|(_, share)| match share {
             Share::Lane(lane) => Some(&lane.buffer),
             Share::None | Share::Whole => None,
@@ -159,6 +162,7 @@ impl GpuEstimate {
             .chain(error.as_ref().map(|error| &error.buffer))
             .chain(shares)
             .chain(spikes)
+            .chain(payload.iter().map(|group| &group.buffer))
             .chain(kept.iter().map(|kept| &kept.buffer));
         buffers.fold(UVec2::ZERO, |most, buffer| most.max(buffer.reach()))
     }

@@ -1,5 +1,6 @@
 //! A frame on the GPU.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::{IVec2, Vec3};
@@ -12,11 +13,13 @@ use crate::image::Image;
 use crate::stage::feature::Slot;
 use crate::stage::frames::Frames;
 use crate::stage::noise::{Pooled, noise_unpack};
+use crate::stage::payload::PayloadGroup;
 use crate::stage::plane_bytes;
 use crate::stage::sample::GpuSamples;
 
-use super::Strip;
+use super::payload::Packing;
 use super::plan::Plan;
+use super::{Method, Strip};
 
 /// A noisy signal on the GPU.
 #[derive(Clone, Debug)]
@@ -50,6 +53,16 @@ pub struct GpuFeature {
     pub channels: u32,
 }
 
+/// Layers on the GPU that are filtered along with the colour: up to four planes of one vec4 per pixel.
+#[derive(Clone, Debug)]
+pub struct GpuPayload {
+    /// Means. Channels in x, y and z belong to the colour's channels: spikes are taken out of them where the colour's
+    /// channel has one. The number in w, such as alpha, belongs to all channels. Everything finite.
+    pub mean: PayloadGroup,
+    /// Half spreads, as many planes. Only NLM uses them; without them, both halves equal the mean.
+    pub half_spread: Option<Arc<Buffer>>,
+}
+
 /// A frame on the GPU, handed over by a renderer that keeps its buffers there.
 #[derive(Debug)]
 pub struct GpuFrame {
@@ -65,11 +78,13 @@ pub struct GpuFrame {
     /// Variance of the colour's mean, averaged over the whole image, per channel; from the halves, where there are any.
     /// Only [`NlmVariance::Uniform`](super::nlm::NlmVariance) uses it.
     pub mean_variance: Option<Vec3>,
+    /// Layers that are filtered along with the colour, in the same groups in all frames of a window; possibly none.
+    pub payload: Vec<GpuPayload>,
 }
 
 impl GpuFrame {
-    /// Makes a frame of one pixel with two features: one with halves, and one whose noise is unknown. Its values are
-    /// arbitrary.
+    /// Makes a frame of one pixel with a payload and two features: one with halves, and one whose noise is unknown. Its
+    /// values are arbitrary.
     pub(super) fn least(rec: &mut Recorder, has_halves: bool, has_variance: bool) -> Result<Self> {
         let extent = IVec2::ONE;
         let mut signal = |has_halves: bool, has_variance: bool| {
@@ -85,7 +100,10 @@ impl GpuFrame {
         };
         let features = vec![feature("noisy", true)?, feature("exact", false)?];
         let samples = GpuSamples::Uniform(0.0);
-        Ok(Self { extent, color, features, samples, mean_variance: Some(Vec3::ZERO) })
+        let mut plane = || Ok::<_, Error>(Arc::new(rec.take("payload", plane_bytes(extent, 1))?));
+        let mean = PayloadGroup { buffer: plane()?, planes: 1 };
+        let payload = vec![GpuPayload { mean, half_spread: Some(plane()?) }];
+        Ok(Self { extent, color, features, samples, mean_variance: Some(Vec3::ZERO), payload })
     }
 }
 
@@ -102,6 +120,8 @@ pub(crate) struct FrameInput<'a> {
     pub(super) samples: GpuSamples,
     /// As [`GpuFrame::mean_variance`].
     pub(super) mean_variance: Option<Vec3>,
+    /// As [`GpuFrame::payload`].
+    pub(super) payload: Vec<GpuPayload>,
 }
 
 /// A feature that is on the device or is uploaded later.
@@ -136,7 +156,7 @@ impl FeatureInput<'_> {
 
 impl From<GpuFrame> for FrameInput<'_> {
     fn from(frame: GpuFrame) -> Self {
-        let GpuFrame { extent, color, features, samples, mean_variance } = frame;
+        let GpuFrame { extent, color, features, samples, mean_variance, payload } = frame;
         let features = features.into_iter().map(|GpuFeature { name, kind, signal, channels }| FeatureInput {
             name,
             kind,
@@ -144,12 +164,12 @@ impl From<GpuFrame> for FrameInput<'_> {
             source: Source::Device(signal),
             pooled: None,
         });
-        Self { extent, color, features: features.collect(), samples, mean_variance }
+        Self { extent, color, features: features.collect(), samples, mean_variance, payload }
     }
 }
 
 impl<'a> FrameInput<'a> {
-    /// Returns the same frame for a dry run.
+    /// Returns the same frame for a dry run, without its payload.
     pub(super) fn dry(&self, rec: &mut Recorder) -> Result<Self> {
         let mut signal = |GpuSignal { signal, variance_of_mean, has_halves }: &GpuSignal| {
             let mut twin = |buffer: &Buffer| rec.take(buffer.label(), buffer.bytes());
@@ -174,7 +194,8 @@ impl<'a> FrameInput<'a> {
             GpuSamples::Uniform(count) => GpuSamples::Uniform(*count),
             GpuSamples::PerPixel(counts) => GpuSamples::PerPixel(rec.take(counts.label(), counts.bytes())?),
         };
-        Ok(Self { extent: self.extent, color, features, samples, mean_variance: self.mean_variance })
+        let mean_variance = self.mean_variance;
+        Ok(Self { extent: self.extent, color, features, samples, mean_variance, payload: Vec::new() })
     }
 }
 
@@ -184,30 +205,35 @@ pub(crate) struct Units<'a> {
     pub(crate) exposure: f32,
     /// Features to upload. The features of every frame are mapped to the unit range of these.
     pub(crate) features: Vec<&'a Feature>,
+    /// Layers to filter along.
+    pub(crate) payload: Packing<'a>,
 }
 
 impl<'a> Units<'a> {
-    /// Returns the units of the own frame. They list its features if `with_features` is set, and only features that
-    /// all frames have.
-    pub(crate) fn of_window(window: &Frames<&'a Frame>, with_features: bool, exposure: f32) -> Self {
+    /// Returns the units of the own frame for this method. They list its features if the method uses features, and only
+    /// features that all frames have.
+    pub(crate) fn of_window(window: &Frames<&'a Frame>, method: &Method, exposure: f32) -> Self {
+        let with_features = method.uses_features();
         let alike = |a: &Feature, b: &Feature| a.name == b.name && a.signal.mean.channels() == b.signal.mean.channels();
         let everywhere =
             |feature: &&Feature| window.iter().all(|frame| frame.features().iter().any(|other| alike(feature, other)));
         let own = if with_features { window.own.features() } else { &[] };
-        Self { exposure, features: own.iter().filter(everywhere).collect() }
+        let payload = Packing::of_window(window, method.filters_halves());
+        Self { exposure, features: own.iter().filter(everywhere).collect(), payload }
     }
 }
 
 impl<'a> FrameInput<'a> {
     /// Uploads the rows of a strip and its halo. Features are uploaded later, when the method fetches them, with the
-    /// noise that the plan needs. `frame` has all features that `units` lists. `mean_variance` belongs to the whole
-    /// frame, so that all strips agree.
+    /// noise that the plan needs. `frame` has all features and layers that `units` lists. Of the layers, these `groups`
+    /// are uploaded. `mean_variance` belongs to the whole frame, so that all strips agree.
     pub(crate) fn upload(
         rec: &mut Recorder,
         frame: &'a Frame,
         mean_variance: Option<Vec3>,
         strip: &Strip,
         units: &Units,
+        groups: Range<usize>,
         plan: &Plan,
     ) -> Result<Self> {
         let mut features = Vec::with_capacity(units.features.len());
@@ -244,7 +270,8 @@ impl<'a> FrameInput<'a> {
             }
         };
         let color = upload_signal(rec, "colour", frame.color(), strip, Affine::scale(units.exposure), Noise::Told)?;
-        Ok(Self { extent, color, features, samples, mean_variance })
+        let payload = units.payload.upload(rec, frame, strip, groups)?;
+        Ok(Self { extent, color, features, samples, mean_variance, payload })
     }
 }
 

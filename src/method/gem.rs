@@ -11,12 +11,14 @@ use super::common::{input_variance, with_input_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::kernels::{KernelOnGpu, WeightsOnGpu};
 use super::noise::estimate_noise;
+use super::payload::Payload;
 use super::plan::{Facts, PlannedStep, Planner, Wishes, impossible, method_plan};
 use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Method};
 use crate::error::Result;
 use crate::gpu::Recorder;
-use crate::stage::gaussian::{Averaging, gaussian};
+use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
+use crate::stage::payload::{PAYLOAD_STEP, PayloadGroup, payload_copy, payload_scale};
 use crate::stage::sample::GpuSamples;
 use crate::stage::scale::{Scale, Selected, scale_advance, scale_gaussian, scale_pixel, scale_reduction, scale_stop};
 use crate::stage::variance::BoxWeight;
@@ -41,11 +43,11 @@ pub(crate) fn gem(
 ) -> Result<GpuEstimate> {
     let extent = frame.extent;
     let mut keeper = Keeper::new(&plan.keep);
-    let Repaired { color, samples, spikes } = Repaired::new(rec, frame, plan)?;
+    let Repaired { color, samples, spikes, payload } = Repaired::new(rec, frame, plan)?;
     if let Some(spikes) = &spikes {
         keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, &spikes.spikes, 0);
     }
-    let selected = select(rec, extent, &color, samples, plan, &mut keeper, progress)?;
+    let (selected, layers) = select(rec, extent, &color, samples, &payload, plan, &mut keeper, progress)?;
 
     // Sample distribution (6.3): quantities by which the host ranks the pixels, once it knows the number of samples to
     // draw.
@@ -65,12 +67,16 @@ pub(crate) fn gem(
     let (signal, choice) = (Arc::new(signal), Arc::new(choice));
     keeper.keep(Intermediate::Scale, "scale", &["V"], Unit::Number, &choice, 0);
     let error = Lane { buffer: choice, plane: 0, component: 2 };
+    let weight_sum = Lane { buffer: signal.clone(), plane: 0, component: 3 };
+    let (result, clean, found) = ((signal, layers), &plan.keep_clean, spikes.as_ref());
+    let (signal, layers) = with_input_kept(rec, extent, &color, &payload, found, result, Some(&error), clean)?;
     Ok(GpuEstimate {
-        weight_sum: Lane { buffer: signal.clone(), plane: 0, component: 3 },
-        signal: with_input_kept(rec, extent, &color, spikes.as_ref(), signal, Some(&error), &plan.keep_clean)?,
+        signal,
+        weight_sum,
         error: Some(error),
         selection: None,
         spikes: spikes.map(|found| found.spikes),
+        payload: layers,
         kept: keeper.into_kept(),
     })
 }
@@ -80,7 +86,8 @@ pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, plan: &GemPlan) -> 
     let extent = frame.extent;
     let Repaired { color, samples, .. } = Repaired::new(rec, frame, plan)?;
     let averaged = color.signal.clone();
-    let Selected { choice, .. } = select(rec, extent, &color, samples, plan, &mut Keeper::new(&[]), |_, _| Ok(()))?;
+    let (payload, keeper) = (Payload::default(), &mut Keeper::new(&[]));
+    let (Selected { choice, .. }, _) = select(rec, extent, &color, samples, &payload, plan, keeper, |_, _| Ok(()))?;
     let weights = WeightsOnGpu::Gaussian(Lane { buffer: Arc::new(choice), plane: 0, component: 0 });
     Ok(vec![KernelOnGpu { name: "scale", averaged, weights, share: None }])
 }
@@ -90,36 +97,40 @@ struct Repaired {
     color: GpuSignal,
     samples: GpuSamples,
     spikes: Option<Found>,
+    payload: Payload,
 }
 
 impl Repaired {
     fn new(rec: &mut Recorder, frame: FrameInput, plan: &GemPlan) -> Result<Self> {
         let params = &plan.params;
-        let FrameInput { extent, mut color, features, samples, .. } = frame;
+        let FrameInput { extent, mut color, features, samples, payload, .. } = frame;
+        let mut payload = Payload::new(payload);
         drop(features);
         if let Some(noise) = plan.noise.as_ref().filter(|noise| noise.runs) {
             noise.begin(rec);
             estimate_noise(rec, extent, &mut color, &mut [], Method::from(*params).pooling())?;
         }
         if !plan.spikes.runs {
-            return Ok(Self { color, samples, spikes: None });
+            return Ok(Self { color, samples, spikes: None, payload });
         }
         plan.spikes.begin(rec);
-        let (color, spikes) = params.spikes.repair(rec, extent, color, None)?;
-        Ok(Self { color, samples, spikes })
+        let (color, spikes) = params.spikes.repair(rec, extent, color, None, &mut payload)?;
+        Ok(Self { color, samples, spikes, payload })
     }
 }
 
-/// Chooses the scale of each pixel.
+/// Chooses the scale of each pixel. Returns the payload at these scales, too.
+#[expect(clippy::too_many_arguments, reason = "they are the data of chapter 6; a struct would only rename them")]
 fn select(
     rec: &mut Recorder,
     extent: IVec2,
     color: &GpuSignal,
     samples: GpuSamples,
+    payload: &Payload,
     plan: &GemPlan,
     keeper: &mut Keeper,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
-) -> Result<Selected> {
+) -> Result<(Selected, Vec<PayloadGroup>)> {
     // Mean variances of the pixels (eq. 6.3). Where halves scale them, they do not require purely random samples.
     plan.variance.begin(rec);
     let variance = input_variance(rec, extent, color, BoxWeight::Even)?;
@@ -128,6 +139,7 @@ fn select(
     plan.scales.begin(rec);
     let (pixel, mut selected) = scale_pixel(rec, extent, &color.signal, &variance, &samples)?;
     drop((variance, samples));
+    let layers = rec.in_step(PAYLOAD_STEP, |rec| payload_copy(rec, extent, &payload.repaired))?;
     let params = &plan.params;
     let sigmas = params.phase.sigmas();
     let work: f32 = sigmas.iter().sum();
@@ -142,13 +154,20 @@ fn select(
         // Post-processing the filter selection (6.2.4).
         let smoothed = Arc::new(gaussian(rec, extent, &stops, 1, params.outlier_filter(sigma), Averaging::Neighbours)?);
         scale_advance(rec, extent, &mut selected, fine, &coarse, &stops, &smoothed, params.phase.coarser_only())?;
+        rec.in_step(PAYLOAD_STEP, |rec| {
+            payload.repaired.iter().zip(&layers).try_for_each(|(group, layers)| {
+                let (of_payload, planes) = (Gaussian::new(sigma), group.planes);
+                let coarse = gaussian(rec, extent, &group.buffer, planes, of_payload, Averaging::Mean)?;
+                payload_scale(rec, extent, &selected.choice, sigma, &coarse, layers)
+            })
+        })?;
         keeper.keep(Intermediate::Stopping, format!("stopping_{step}"), &["V"], Unit::Number, &stops, 0);
         keeper.keep(Intermediate::Stopping, format!("stopping_{step}_smoothed"), &["V"], Unit::Number, &smoothed, 0);
         finer = Some(coarse);
         done += sigma;
         progress(rec, done / work)?;
     }
-    Ok(selected)
+    Ok((selected, layers))
 }
 
 method_plan! {
@@ -164,6 +183,8 @@ method_plan! {
         scales: PlannedStep,
         /// The quantities of the sampling density (thesis 6.3).
         density: PlannedStep,
+        /// Layers filtered along with the colour; `None` if the frame has none.
+        payload: Option<PlannedStep>,
         /// Pixels without noise put back.
         keep_clean: PlannedStep,
     }
@@ -182,6 +203,7 @@ pub(super) fn plan(params: &GemParams, facts: &Facts, wishes: &Wishes) -> GemPla
         variance: planner.variance(Method::from(*params).pooling(), facts),
         scales: planner.step("scales", "from fine to coarse", &[]),
         density: planner.step("sampling density", "it is asked for", &unasked).beside_kernels(),
+        payload: planner.payload(facts),
         keep_clean: planner.keep_clean(params.keep_clean),
     }
 }

@@ -14,6 +14,7 @@ mod memory;
 pub mod nlm;
 mod noise;
 mod parameters;
+mod payload;
 pub mod plan;
 mod spikes;
 #[cfg(feature = "toml")]
@@ -35,10 +36,12 @@ pub(crate) use common::LARGEST_PATCH_RADIUS;
 pub use dfc::{DfcParams, DfcPlan};
 pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Share, Unit};
 pub(crate) use frame::{FrameInput, Units};
-pub use frame::{GpuFeature, GpuFrame, GpuSignal};
+pub use frame::{GpuFeature, GpuFrame, GpuPayload, GpuSignal};
 pub use gem::{GemParams, GemPlan};
 pub(crate) use memory::{DeviceMemory, Footprint, Strip, strips};
 pub use nlm::{NlmParams, NlmPlan};
+pub use payload::PayloadLeft;
+pub(crate) use payload::PayloadPlace;
 pub(crate) use plan::{Facts, Wishes};
 pub use plan::{MethodPlan, Plan, PlannedStep};
 pub use spikes::{SpikeReport, Spikes};
@@ -123,6 +126,11 @@ impl Method {
             Self::Dfc(_) => true,
             Self::Gem(_) | Self::Nlm(_) => false,
         }
+    }
+
+    /// Returns whether the method filters each half of the samples with the weights of the other.
+    pub fn filters_halves(&self) -> bool {
+        matches!(self, Self::Nlm(NlmParams { dual_buffer: true, .. }))
     }
 
     /// Returns the [`GpuFrame::mean_variance`] of a frame, if the method uses it.
@@ -290,7 +298,8 @@ impl Method {
                 Vec::new()
             }
         };
-        let shape = |frame: &FrameInput| (frame.extent, frame.color.has_halves, channels(frame));
+        let groups = |frame: &FrameInput| frame.payload.iter().map(|it| it.mean.planes).collect::<Vec<_>>();
+        let shape = |frame: &FrameInput| (frame.extent, frame.color.has_halves, channels(frame), groups(frame));
         if frames.beside.iter().any(|other| shape(other) != shape(&frames.own)) {
             return Err(Error::Request(RequestCause::FrameShape));
         }

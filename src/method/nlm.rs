@@ -11,6 +11,7 @@ use super::common::{input_variance, with_input_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::kernels::{Compared, KernelOnGpu, WeightRule, WeightsOnGpu};
 use super::noise::estimate_noise;
+use super::payload::Payload as Along;
 use super::plan::{Facts, PlannedStep, Planner, Wishes, impossible, method_plan, needless};
 use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Method};
@@ -21,6 +22,7 @@ use crate::stage::frames::Frames;
 use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
 use crate::stage::half::{Halves, half_join, half_split};
 use crate::stage::nlm::{Beside, CentreWeight, Filtered, Guide, Payload, Schedule, Weighting, nlm_filter};
+use crate::stage::payload::{Half, MixShare, PAYLOAD_STEP, PayloadGroup, payload_half, payload_mix};
 use crate::stage::sample::sample_attach;
 use crate::stage::select::{HARM, Noisy, select_frames_of_filtered};
 use crate::stage::variance::{BoxWeight, Floor, VariancePair, variance_clamp, variance_floor, variance_pair};
@@ -62,7 +64,7 @@ pub(crate) fn nlm(
 
     // Variance estimation.
     let Frames { own, beside } = frames.try_map(|frame| Prepared::new(rec, frame, plan, schedule))?;
-    let Prepared { color, signal, variance, halves, spikes } = &own;
+    let Prepared { color, signal, variance, halves, spikes, payload, .. } = &own;
     if let Some(spikes) = spikes {
         keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, &spikes.spikes, 0);
     }
@@ -116,6 +118,15 @@ pub(crate) fn nlm(
         plan.frames.begin(rec);
         select_frames_of_filtered(rec, extent, Noisy { signal, variance_of_mean: variance }, alone, &filtered, HARM)?;
     }
+    // Layers are filtered with the same weights, half by half.
+    let layers = rec.in_step(PAYLOAD_STEP, |rec| {
+        let of_window =
+            |rec: &mut Recorder, beside: &[Prepared]| payload_filtered(rec, extent, &own, beside, params, schedule);
+        let together = of_window(rec, &beside)?;
+        let Some(_) = &alone else { return Ok(together) };
+        let alone = of_window(rec, &[])?;
+        payload_mix(rec, extent, &together, &alone, MixShare::OfSignal(&filtered.planes))
+    })?;
     drop((beside, alone));
 
     // Error estimation, and where the next samples pay (thesis 7.1.3).
@@ -130,8 +141,8 @@ pub(crate) fn nlm(
     }
 
     let Filtered { planes, weights, .. } = filtered;
-    let signal =
-        with_input_kept(rec, extent, color, spikes.as_ref(), Arc::new(planes), error.as_ref(), &plan.keep_clean)?;
+    let (result, clean, found) = ((Arc::new(planes), layers), &plan.keep_clean, spikes.as_ref());
+    let (signal, layers) = with_input_kept(rec, extent, color, payload, found, result, error.as_ref(), clean)?;
     if keeper.wants(Intermediate::Halves) && has_halves {
         plan.filter.begin(rec);
         let Halves { a, b, .. } = half_split(rec, extent, &signal, variance)?;
@@ -144,8 +155,48 @@ pub(crate) fn nlm(
         weight_sum: Lane { buffer: Arc::new(weights), plane: 0, component: 0 },
         selection: None,
         spikes: spikes.as_ref().map(|found| found.spikes.clone()),
+        payload: layers,
         kept: keeper.into_kept(),
     })
+}
+
+/// Filters the payload of the own frame over the window: each half with the weights of the other half of the colour, or
+/// the mean with the colour's own weights.
+fn payload_filtered(
+    rec: &mut Recorder,
+    extent: IVec2,
+    own: &Prepared,
+    beside: &[Prepared],
+    params: &NlmParams,
+    schedule: Schedule,
+) -> Result<Vec<PayloadGroup>> {
+    let frames: Vec<&Prepared> = std::iter::once(own).chain(beside).collect();
+    let filtered = |rec: &mut Recorder, index: usize, half: Option<Half>| {
+        let payloads = frames.iter().map(|frame| frame.payload_half(rec, extent, index, half));
+        let payloads: Vec<PayloadGroup> = payloads.collect::<Result<_>>()?;
+        let buffers: Vec<Buffers> = frames.iter().map(|frame| frame.buffers(half)).collect();
+        let [own, others @ ..] = &buffers[..] else { unreachable!("a window has its own frame") };
+        let neighbours: Vec<_> =
+            others.iter().map(|other| Beside { signal: other.guide, variance_of_mean: other.variance }).collect();
+        let guide = Guide { beside: &neighbours, ..own.guide(params) };
+        let beside: Vec<&Buffer> = payloads[1..].iter().map(|group| &*group.buffer).collect();
+        let PayloadGroup { buffer, planes } = &payloads[0];
+        let payload = Payload { beside: &beside, ..Payload::new(buffer, *planes) };
+        let (radius, weighting) = (params.window_radius, params.weighting);
+        let filtered = nlm_filter(rec, extent, &guide, &payload, radius, weighting, false, schedule)?;
+        Ok::<_, Error>(PayloadGroup { buffer: Arc::new(filtered.planes), planes: *planes })
+    };
+    let mut layers = Vec::new();
+    for index in 0..own.payload.repaired.len() {
+        layers.push(if own.halves.is_some() {
+            let halves = [filtered(rec, index, Some(Half::A))?, filtered(rec, index, Some(Half::B))?];
+            let [a, b] = halves.each_ref().map(std::slice::from_ref);
+            payload_mix(rec, extent, a, b, MixShare::Even(0.5))?.swap_remove(0)
+        } else {
+            filtered(rec, index, None)?
+        });
+    }
+    Ok(layers)
 }
 
 /// Input of one run of the filter, from one frame.
@@ -240,12 +291,44 @@ struct Prepared {
     halves: Option<Halves>,
     /// Spikes and lights that were taken out.
     spikes: Option<Found>,
+    /// Layers that are filtered along with the colour.
+    payload: Along,
+    /// Colour with its spikes, two planes; `None` if there are no layers.
+    given: Option<Arc<Buffer>>,
 }
 
 impl Prepared {
+    /// Returns the buffers that filter a half, or the whole.
+    fn buffers(&self, half: Option<Half>) -> Buffers<'_> {
+        match (&self.halves, half) {
+            (Some(halves), Some(Half::A)) => Buffers::of_half_a(halves),
+            (Some(halves), Some(Half::B)) => Buffers::of_half_b(halves),
+            _ => Buffers::of_signal(&self.signal, &self.variance),
+        }
+    }
+
+    /// Returns a half of a group of layers; the mean where there is no half, or no half spread tells it.
+    fn payload_half(
+        &self,
+        rec: &mut Recorder,
+        extent: IVec2,
+        index: usize,
+        half: Option<Half>,
+    ) -> Result<PayloadGroup> {
+        let repaired = &self.payload.repaired[index];
+        match (half, &self.payload.given[index].half_spread, &self.given) {
+            (Some(half), Some(spread), Some(given)) => {
+                payload_half(rec, extent, half, repaired, spread, [given, &self.color.signal])
+            }
+            _ => Ok(repaired.clone()),
+        }
+    }
+
     fn new(rec: &mut Recorder, frame: FrameInput, plan: &NlmPlan, schedule: Schedule) -> Result<Self> {
         let params = &plan.params;
-        let FrameInput { extent, mut color, features: _, samples, mean_variance } = frame;
+        let FrameInput { extent, mut color, features: _, samples, mean_variance, payload } = frame;
+        let given = (!payload.is_empty()).then(|| color.signal.clone());
+        let mut payload = Along::new(payload);
         if let Some(noise) = plan.noise.as_ref().filter(|noise| noise.runs) {
             noise.begin(rec);
             estimate_noise(rec, extent, &mut color, &mut [], Method::from(*params).pooling())?;
@@ -253,7 +336,7 @@ impl Prepared {
         let mut spikes = None;
         if plan.spikes.runs {
             plan.spikes.begin(rec);
-            (color, spikes) = params.spikes.repair(rec, extent, color, None)?;
+            (color, spikes) = params.spikes.repair(rec, extent, color, None, &mut payload)?;
         }
         plan.variance.begin(rec);
         let variance = match params.variance {
@@ -279,7 +362,7 @@ impl Prepared {
         let signal = sample_attach(rec, extent, &color.signal, &samples)?;
         plan.halves.begin(rec);
         let halves = plan.halves.runs.then(|| half_split(rec, extent, &signal, &variance)).transpose()?;
-        Ok(Self { color, signal, variance, halves, spikes })
+        Ok(Self { color, signal, variance, halves, spikes, payload, given })
     }
 }
 
@@ -352,6 +435,8 @@ method_plan! {
         frames: PlannedStep,
         /// The estimated error of the result.
         error: PlannedStep,
+        /// Layers filtered along with the colour; `None` if the frame has none.
+        payload: Option<PlannedStep>,
         /// Pixels without noise put back.
         keep_clean: PlannedStep,
     }
@@ -393,6 +478,7 @@ pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> NlmPla
             .step("frames that harm", "where they harm, frames beside are left out", &guard)
             .beside_kernels(),
         error: planner.step("error", "what the filtered halves, or weights, show", &unwanted).beside_kernels(),
+        payload: planner.payload(facts),
         keep_clean: planner.keep_clean(params.keep_clean),
     }
 }

@@ -14,6 +14,7 @@ use crate::frame::{Feature, Frame, NoiseTiles, TILE};
 use crate::gpu::Recorder;
 use crate::stage::exact::ExactTiles;
 use crate::stage::frames::Frames;
+use crate::stage::payload::PAYLOAD_STEP;
 use crate::stage::variance::INPUT_SMOOTHING;
 
 /// The steps of a method for a frame, those that run and those that are left out.
@@ -23,6 +24,8 @@ pub struct Plan {
     pub method: MethodPlan,
     /// Strips that the image is cut into; 1 where it fits as a whole.
     pub strips: usize,
+    /// Rounds over the strips, each with other layers along; 1 where all layers fit.
+    pub rounds: usize,
     /// Time that the look at the frames took, in seconds on the host.
     pub analysis_seconds: f64,
 }
@@ -208,7 +211,7 @@ impl Plan {
 
 impl From<MethodPlan> for Plan {
     fn from(method: MethodPlan) -> Self {
-        Self { method, strips: 1, analysis_seconds: 0.0 }
+        Self { method, strips: 1, rounds: 1, analysis_seconds: 0.0 }
     }
 }
 
@@ -226,6 +229,8 @@ pub(crate) struct Facts {
     pub(super) noise: Option<NoiseTiles>,
     /// Whether all channels of the colour are equal, in all frames.
     pub(super) grey: bool,
+    /// Number of layers that are filtered along with the colour.
+    pub(super) payload: usize,
     /// Number of tiles in a row.
     tile_columns: usize,
     /// Features that are used, in their order.
@@ -283,6 +288,7 @@ impl Facts {
             beside: window.beside.len(),
             noise: NoiseTiles::of_all(window.iter().map(|frame| frame.color())).filter(|_| all_tell),
             grey: window.iter().all(|frame| frame.color().is_grey()),
+            payload: units.payload.filtered(),
             tile_columns: (frame.extent().width as usize).div_ceil(TILE),
             features: features.collect(),
             unused_features: if with_features { constant.chain(lacking).collect() } else { Vec::new() },
@@ -305,6 +311,7 @@ impl Facts {
             beside,
             noise: None,
             grey: false,
+            payload: frame.payload.iter().map(|group| group.mean.planes as usize).sum(),
             tile_columns: 0,
             features: features.collect(),
             unused_features: Vec::new(),
@@ -461,6 +468,13 @@ impl Planner {
             because,
             &[impossible(!facts.has_halves, "without halves the variance is taken as it is")],
         )
+    }
+
+    /// Plans that layers are filtered along with the colour. Returns `None` for a frame that has no such layers.
+    pub(super) fn payload(self, facts: &Facts) -> Option<PlannedStep> {
+        let count = facts.payload;
+        let because = format!("{count} {} the colour's weights", if count == 1 { "takes" } else { "take" });
+        (count > 0).then(|| self.step(PAYLOAD_STEP, &because, &[]).beside_kernels())
     }
 
     /// Plans that pixels without noise are put back.

@@ -7,10 +7,12 @@ use glam::IVec2;
 use serde::Serialize;
 
 use super::GpuSignal;
+use super::payload::Payload;
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
 use crate::parameters::choices;
 use crate::stage::feature::Features;
+use crate::stage::payload::{PAYLOAD_STEP, payload_repair};
 use crate::stage::spike::{SpikeRule, spike_find, spike_spread};
 
 choices! {
@@ -76,22 +78,28 @@ pub(super) struct Found {
 
 impl Spikes {
     /// Returns a colour without spikes and lights of few pixels, and the spikes and lights that were found. Features
-    /// tell which pixels are of one kind.
+    /// tell which pixels are of one kind. The payload is repaired in the same pixels.
     pub(super) fn repair(
         self,
         rec: &mut Recorder,
         extent: IVec2,
         color: GpuSignal,
         features: Option<&Features>,
+        payload: &mut Payload,
     ) -> Result<(GpuSignal, Option<Found>)> {
         if self == Self::Keep {
             return Ok((color, None));
         }
         let rule = SpikeRule::DEFAULT;
         let mut repaired = spike_find(rec, extent, &color.signal, color.variance_of_mean.as_deref(), features, &rule)?;
+        let mut levels = None;
         if self == Self::Spread {
-            spike_spread(rec, extent, features, &rule, &mut repaired)?;
+            levels = Some(spike_spread(rec, extent, features, &rule, &mut repaired)?);
         }
+        payload.repaired = rec.in_step(PAYLOAD_STEP, |rec| {
+            let (signal, levels, means) = (&color.signal, levels.as_ref(), payload.means());
+            payload_repair(rec, extent, signal, features, &rule, &repaired, levels, &means)
+        })?;
         let color = GpuSignal {
             signal: Arc::new(repaired.signal),
             variance_of_mean: repaired.variance_of_mean.map(Arc::new),

@@ -10,6 +10,7 @@ use super::exact::{ExactTiles, Region};
 use super::feature::Features;
 use super::frames::Frames;
 use super::nlm::{Beside, ChunkNeeds, Guide, NlmParams, Schedule, Weighting, for_each_chunk};
+use super::payload::{PAYLOAD_STEP, PayloadGroup, PayloadSums, payload_accumulate};
 use super::plane_bytes;
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
@@ -50,6 +51,8 @@ pub struct CandidateFrame<'a> {
     /// Prefiltered features, the same ones in the same units in all frames of a window. `None` gives all feature
     /// weights the value 1.
     pub features: Option<&'a Features>,
+    /// Layers to average with the same weights, in the same groups in all frames of a window; mostly none.
+    pub layers: &'a [PayloadGroup],
 }
 
 impl<'a> CandidateFrame<'a> {
@@ -115,17 +118,32 @@ pub struct Candidates {
     pub spreads: Arc<Buffer>,
     /// dF_i/du_i per channel.
     pub derivatives: Option<Arc<Buffer>>,
+    /// Σ w·(l_q − l_p) of each layer plane: for each group of layers a plane for each candidate and plane.
+    pub payload: Vec<Arc<Buffer>>,
 }
 
 impl Candidates {
-    fn take(rec: &mut Recorder, extent: IVec2, filters: &[CandidateFilter], has_derivatives: bool) -> Result<Self> {
-        let bytes = plane_bytes(extent, filters.len() as u32);
+    fn take(
+        rec: &mut Recorder,
+        extent: IVec2,
+        filters: &[CandidateFilter],
+        has_derivatives: bool,
+        layers: &[PayloadGroup],
+    ) -> Result<Self> {
+        let count = filters.len() as u32;
+        let payload = layers.iter().map(|group| {
+            let buffer = rec.take("sums of the payload", plane_bytes(extent, count * group.planes))?;
+            Ok(Arc::new(buffer))
+        });
+        let payload = payload.collect::<Result<_>>()?;
+        let bytes = plane_bytes(extent, count);
         let mut take = |label| Ok::<_, Error>(Arc::new(rec.take(label, bytes)?));
         Ok(Self {
             filters: filters.to_vec(),
             means: take("means of the candidates")?,
             spreads: take("half spreads of the candidates")?,
             derivatives: has_derivatives.then(|| take("derivatives")).transpose()?,
+            payload,
         })
     }
 
@@ -184,9 +202,10 @@ pub fn candidates(
     schedule: Schedule,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<CandidatesInTime> {
-    let together = Candidates::take(rec, extent, filters, needed.derivatives)?;
+    let layers = frames.own.layers;
+    let together = Candidates::take(rec, extent, filters, needed.derivatives, layers)?;
     let alone = !frames.beside.is_empty() && needed.alone;
-    let alone = alone.then(|| Candidates::take(rec, extent, filters, needed.derivatives)).transpose()?;
+    let alone = alone.then(|| Candidates::take(rec, extent, filters, needed.derivatives, layers)).transpose()?;
     let found = CandidatesInTime { together, alone };
     let passes = passes(filters);
     for (index, pass) in passes.iter().enumerate() {
@@ -204,6 +223,9 @@ pub fn candidates(
             }
             if let Some(derivatives) = &candidates.derivatives {
                 tiles.fill(rec, derivatives, count, true)?;
+            }
+            for (group, sums) in layers.iter().zip(&candidates.payload) {
+                tiles.fill(rec, sums, count * group.planes, false)?;
             }
         }
     }
@@ -233,6 +255,7 @@ fn run_pass(
     // Weights that come from another image do not change with the payload.
     let other_guide = own.guide.is_some();
     let differences = needed.derivatives && !other_guide;
+    let has_layers = !own.layers.is_empty();
     // The kernel for the nearest rows is the larger one. With as many pixels as the other kernel, a driver takes 3.6 s
     // to compile it; with half of them, 1.2 s, and the kernel is 16 % slower for a third of the offsets.
     let blocking = |near: bool| Schedule {
@@ -248,6 +271,7 @@ fn run_pass(
             ("DERIVATIVES", differences.into()),
             ("HALVES", needed.half_spread.into()),
             ("GREY", guide.grey.into()),
+            ("WEIGHTS", has_layers.into()),
             ("FEATURE_GROUPS", Definition::Int(groups as i32)),
             symmetric,
             hard,
@@ -256,7 +280,8 @@ fn run_pass(
     };
     let candidate = pass.params(features);
     let mut state: Option<Buffer> = None;
-    let needs = ChunkNeeds { distances: pass.by_color(), sum_planes: SUM_PLANES };
+    let weight_values = if has_layers { pass.weight_values() } else { 0 };
+    let needs = ChunkNeeds { distances: pass.by_color(), sum_planes: SUM_PLANES, pair_values: weight_values };
     for_each_chunk(rec, extent, &guide, needs, radius, weighting, schedule, |rec, chunk| {
         let params = chunk.params;
         if params.starts != 0 {
@@ -265,8 +290,11 @@ fn run_pass(
         }
         let state = match &mut state {
             Some(state) => state,
-            None => state
-                .insert(rec.take("candidate sums", plane_bytes(IVec2::new(params.width, params.rows), SUM_PLANES))?),
+            None => {
+                let of_weights = u64::from(weight_values) * chunk.most_pair_bytes;
+                let bytes = plane_bytes(IVec2::new(params.width, params.rows), SUM_PLANES) + of_weights;
+                state.insert(rec.take("candidate sums", bytes)?)
+            }
         };
         let beside = chunk.beside.map(|index| frames.beside[index]);
         // Patches hold pixels of their own pair only in the nearest rows, and never in a frame beside.
@@ -293,8 +321,17 @@ fn run_pass(
             blocking(near).per_row_of_pixels(&params),
         )?;
         // The sums over the own frame are complete before the sums over the other frames begin.
-        let complete =
-            if chunk.last { Some(together) } else { alone.as_ref().filter(|_| beside.is_none() && chunk.ends_frame) };
+        let ends_own_frame = beside.is_none() && chunk.ends_frame;
+        if has_layers {
+            let layers = own.layers;
+            let sums_alone = alone.as_ref().filter(|_| ends_own_frame).map(|alone| &alone.payload[..]);
+            let neighbours = beside.map_or(layers, |frame| frame.layers);
+            let sums = PayloadSums { together: &together.payload, alone: sums_alone };
+            rec.in_step(PAYLOAD_STEP, |rec| {
+                payload_accumulate(rec, chunk, pass, state, [layers, neighbours], sums, radius, schedule)
+            })?;
+        }
+        let complete = if chunk.last { Some(together) } else { alone.as_ref().filter(|_| ends_own_frame) };
         if let Some(complete) = complete {
             for (sums, place) in [pass.small, pass.large, pass.alone].into_iter().enumerate() {
                 let Some(place) = place else { continue };

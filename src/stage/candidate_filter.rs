@@ -147,6 +147,12 @@ impl Pass {
         self.small.map(|_| self.small_patch_radius)
     }
 
+    /// Returns the number of values of four numbers that hold the weights of a pair of neighbours: one for the filters
+    /// by colour, one for the filter by features alone.
+    pub(super) fn weight_values(&self) -> u32 {
+        u32::from(self.by_color()) + u32::from(self.alone.is_some())
+    }
+
     /// Returns the definitions of the filters that take part.
     pub(super) fn definitions(&self) -> [(&'static str, Definition); 6] {
         [

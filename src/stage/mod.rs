@@ -14,6 +14,7 @@ pub mod half;
 pub mod keep_clean;
 pub mod nlm;
 pub mod noise;
+pub mod payload;
 pub mod sample;
 pub mod scale;
 pub mod select;

@@ -195,7 +195,7 @@ impl Schedule {
         extent: IVec2,
         window_radius: i32,
         guide: &Guide,
-        sum_planes: u32,
+        needs: ChunkNeeds,
     ) -> Vec<(Region, Cut)> {
         let regions = match guide.exact {
             Some(exact) => exact.regions(extent, REGION_CELL, guide.patch_radius as i32, self.region_pixels.into()),
@@ -204,7 +204,7 @@ impl Schedule {
         let wanted = |region: Region| guide.wanted.map_or(Some(region), |wanted| region.overlap(&wanted));
         // The weights of a patchwise guide need the weights of f more columns on both sides, and the scratch of a band
         // has no distances for these columns.
-        let most_columns = if guide.patchwise { i32::MAX } else { self.most_columns(gpu, guide, sum_planes) };
+        let most_columns = if guide.patchwise { i32::MAX } else { self.most_columns(gpu, guide, needs) };
         let bands = |region: Region| {
             let width = region.size.x.min(most_columns);
             (0..region.size.x).step_by(width as usize).map(move |x| Region {
@@ -216,14 +216,14 @@ impl Schedule {
             .into_iter()
             .filter_map(wanted)
             .flat_map(bands)
-            .map(|region| (region, self.cut(gpu, region.size, window_radius, guide, sum_planes)))
+            .map(|region| (region, self.cut(gpu, region.size, window_radius, guide, needs)))
             .collect()
     }
 
     /// Returns the width of the widest band, in columns, of which one row fits every buffer that is as wide as the
     /// band: the column sums of one offset and the running sums.
-    fn most_columns(&self, gpu: &Gpu, guide: &Guide, sum_planes: u32) -> i32 {
-        let planes = u64::from(sum_planes).max(guide.patch_sizes());
+    fn most_columns(&self, gpu: &Gpu, guide: &Guide, needs: ChunkNeeds) -> i32 {
+        let planes = u64::from(needs.sum_planes + needs.pair_values).max(guide.patch_sizes());
         let columns = gpu.max_binding_bytes() / (planes * PLANE_PIXEL_BYTES);
         // A scratch row is longer than the band.
         let columns = columns.saturating_sub(u64::from(self.pixels + 2 * guide.patch_radius)).max(1);
@@ -231,8 +231,9 @@ impl Schedule {
     }
 
     /// Cuts the work on an image of this extent, so that each buffer whose size follows from the cut fits the adapter's
-    /// binding limit. `sum_planes`: planes of running sums that the filter keeps for the pixels of a strip.
-    fn cut(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, guide: &Guide, sum_planes: u32) -> Cut {
+    /// binding limit.
+    fn cut(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, guide: &Guide, needs: ChunkNeeds) -> Cut {
+        let ChunkNeeds { sum_planes, pair_values, .. } = needs;
         let patch_radius = guide.patch_radius as i32;
         // The patchwise weights of a strip need the weights of f more rows above and below it.
         let margin = if guide.patchwise { patch_radius } else { 0 };
@@ -240,13 +241,16 @@ impl Schedule {
         let stride = (extent.x as u32).next_multiple_of(self.pixels) as i32 + 2 * patch_radius;
         let patch_sizes = guide.patch_sizes();
         let row_bytes = plane_bytes(IVec2::new(stride, 1), 1);
-        let budget = (self.scratch_bytes.min(gpu.max_binding_bytes() / patch_sizes) / row_bytes).max(1) as i32;
+        // Values of the pairs share a buffer with the running sums: half of it for each.
+        let most_bytes = gpu.max_binding_bytes() / patch_sizes.max(2 * u64::from(pair_values));
+        let budget = (self.scratch_bytes.min(most_bytes) / row_bytes).max(1) as i32;
         // A row of offsets at a time, unless the image is so small that more fit: for each chunk the running sums are
         // loaded and stored once.
         let side = 2 * window_radius + 1;
         let rows = (budget / side - 2 * margin).clamp(1, extent.y);
         // With a small window, the column sums of a strip may fit where its running sums do not.
-        let rows_of_sums = gpu.max_binding_bytes().checked_div(plane_bytes(IVec2::new(extent.x, 1), sum_planes));
+        let for_sums = if pair_values > 0 { gpu.max_binding_bytes() / 2 } else { gpu.max_binding_bytes() };
+        let rows_of_sums = for_sums.checked_div(plane_bytes(IVec2::new(extent.x, 1), sum_planes));
         let rows = rows_of_sums.map_or(rows, |most| rows.min(i32::try_from(most).unwrap_or(i32::MAX)).max(1));
         let block = self.block_rows as i32;
         // Whole blocks, if at least one fits: a block that is cut short still computes its 2f extra rows.
@@ -373,6 +377,8 @@ pub(super) struct ChunkNeeds {
     /// Planes of running sums that the filter keeps for the pixels of a strip; 0 where it keeps them for the whole
     /// image.
     pub(super) sum_planes: u32,
+    /// Values of four numbers that the filter stores for each pixel and pair of offsets of a chunk, behind the sums.
+    pub(super) pair_values: u32,
 }
 
 /// A frame beside the one that is filtered, whose pixels take part as neighbours (thesis 7.3, 8.6): the same window
@@ -402,6 +408,8 @@ pub(super) struct Chunk<'a> {
     pub(super) last: bool,
     /// Share of all pixels that are done once this strip is complete, from 0 to 1.
     pub(super) done: f32,
+    /// The most bytes that one value of four numbers takes for all pixels and pairs of offsets of a chunk of this strip.
+    pub(super) most_pair_bytes: u64,
 }
 
 /// Runs `nlm_distance`, and for a patchwise guide `nlm_weight`, chunk by chunk, and hands each chunk to `consume`:
@@ -418,7 +426,7 @@ pub(super) fn for_each_chunk(
     schedule: Schedule,
     consume: impl FnMut(&mut Recorder, &Chunk) -> Result<()>,
 ) -> Result<()> {
-    let regions = schedule.regions(rec.gpu(), extent, window_radius as i32, guide, needs.sum_planes);
+    let regions = schedule.regions(rec.gpu(), extent, window_radius as i32, guide, needs);
     for_each_chunk_of(rec, extent, regions, guide, needs.distances, window_radius, weighting, schedule, consume)
 }
 
@@ -441,7 +449,8 @@ pub(super) fn for_each_chunk_around(
     let columns = if guide.patchwise { guide.patch_radius as i32 } else { 0 };
     let first = IVec2::new((pixel.x - columns).max(0), pixel.y);
     let region = Region { first, size: IVec2::new((pixel.x + columns + 1).min(extent.x) - first.x, 1) };
-    let cut = schedule.cut(rec.gpu(), region.size, window_radius as i32, guide, 0);
+    let needs = ChunkNeeds { distances: with_distances, sum_planes: 0, pair_values: 0 };
+    let cut = schedule.cut(rec.gpu(), region.size, window_radius as i32, guide, needs);
     for_each_chunk_of(
         rec,
         extent,
@@ -582,6 +591,7 @@ fn for_each_chunk_of(
                         ends_frame,
                         last,
                         done: pixels_done as f32 / all_pixels,
+                        most_pair_bytes: cut.scratch_bytes(0),
                     },
                 )?;
             }
@@ -665,7 +675,7 @@ pub fn nlm_filter(
         hard,
         ("RESIDUAL", with_residual_variance.into()),
     ];
-    let needs = ChunkNeeds { distances: true, sum_planes: 0 };
+    let needs = ChunkNeeds { distances: true, sum_planes: 0, pair_values: 0 };
     for_each_chunk(rec, extent, guide, needs, window_radius, weighting, schedule, |rec, chunk| {
         let (params, columns) = (chunk.params, chunk.columns.within_columns_and_rows(guide.patch_radius, 0));
         let invocations = schedule.per_row_of_pixels(&params);

@@ -11,7 +11,7 @@ use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
 
 uniforms! {
     struct LightReturnParams { extent: IVec2, error_component: i32 }
-    struct SpikeParams {
+    pub(super) struct SpikeParams {
         extent: IVec2,
         window_radius: i32,
         spread_radius: i32,
@@ -90,7 +90,7 @@ impl SpikeRule {
         feature_tau: 0.1,
     };
 
-    fn params(&self, extent: IVec2, features: Option<&Features>) -> SpikeParams {
+    pub(super) fn params(&self, extent: IVec2, features: Option<&Features>) -> SpikeParams {
         SpikeParams {
             extent,
             window_radius: self.window_radius as i32,
@@ -118,14 +118,15 @@ pub struct Repaired {
     /// Three planes. The first holds the amount taken from each pixel, 0 for a pixel that is no spike. [`spike_spread`]
     /// writes the rest: the w of the first becomes the part of the amount that the pixels around get; the second holds
     /// the amount that one of them would get at the position of the spike; the third holds, in x, the squares of the
-    /// amounts that each pixel got, summed over spikes and channels.
+    /// amounts that each pixel got, summed over spikes and channels, and in y the number of pixels that a spike is
+    /// spread over. The z of the third is the brightness of the brightest neighbour that counts for the level.
     pub spikes: Buffer,
     /// Two planes for [`light_return`]: mean and half spread of lights of few pixels. The w of the first holds their
     /// variance, summed over the channels; the w of the second is 1 for a light, else 0.
     pub lights: Buffer,
 }
 
-fn feature_groups(features: Option<&Features>) -> (&'static str, Definition) {
+pub(super) fn feature_groups(features: Option<&Features>) -> (&'static str, Definition) {
     ("FEATURE_GROUPS", Definition::Int(features.map_or(0, |features| features.packing.groups as i32)))
 }
 
@@ -186,26 +187,27 @@ pub fn spike_find(
 }
 
 /// Gives parts of each spike to the pixels around it: to all pixels of its kind that have noise and are about as
-/// bright, less to pixels further away. `repaired` is the result of [`spike_find`].
+/// bright, less to pixels further away. `repaired` is the result of [`spike_find`]. Returns the brightness around each
+/// pixel and whether the pixel has noise, by which the parts were found.
 ///
 /// # Errors
-/// As [`Recorder::dispatch`].
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn spike_spread(
     rec: &mut Recorder,
     extent: IVec2,
     features: Option<&Features>,
     rule: &SpikeRule,
     repaired: &mut Repaired,
-) -> Result<()> {
+) -> Result<Buffer> {
     let params = rule.params(extent, features);
     let Repaired { signal: repaired, spikes, .. } = repaired;
     let groups = [feature_groups(features)];
     let features = features.map(|features| features.buffer.within(rule.spread_radius));
-    let levels = &rec.take("brightness around each pixel", plane_bytes(extent, 1))?;
+    let made = rec.take("brightness around each pixel", plane_bytes(extent, 1))?;
 
-    let bound = SpikeLevel { params, repaired: repaired.within(1).front(), spikes, levels };
+    let bound = SpikeLevel { params, repaired: repaired.within(1).front(), spikes, levels: &made };
     rec.dispatch("spike_level", &[], &bound, per_pixel(extent))?;
-    let levels = levels.within(rule.spread_radius);
+    let levels = made.within(rule.spread_radius);
     rec.dispatch("spike_share", &groups, &SpikeShare { params, spikes, features, levels }, per_pixel(extent))?;
     // The stage reads a whole row of amounts, which depend on the pixels within `window_radius`. The shares beside them
     // already reach at least as far, so its reach need not be declared.
@@ -217,7 +219,8 @@ pub fn spike_spread(
         levels,
         repaired: repaired.within(0).front(),
     };
-    rec.dispatch("spike_spread", &groups, &bound, per_pixel(extent))
+    rec.dispatch("spike_spread", &groups, &bound, per_pixel(extent))?;
+    Ok(made)
 }
 
 /// Returns a filtered signal with the `lights` that [`spike_find`] set aside.

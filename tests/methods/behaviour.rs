@@ -269,6 +269,7 @@ fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
         features,
         samples: GpuSamples::Uniform(1.0),
         mean_variance: None,
+        payload: Vec::new(),
     };
     let mut rec = gpu.record_whole();
     let estimate = denoiser.record(&mut rec, gpu_frame, Vec::new()).unwrap_or_else(|error| panic!("{error}"));

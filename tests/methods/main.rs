@@ -22,6 +22,7 @@ mod leave_out;
 mod limits;
 mod nlm;
 mod parameters;
+mod payload;
 mod spikes;
 mod time;
 mod twin;

@@ -365,6 +365,7 @@ fn a_uniform_variance_that_nobody_knows_is_refused() {
         features: Vec::new(),
         samples: GpuSamples::Uniform(1.0),
         mean_variance: None,
+        payload: Vec::new(),
     };
     let refused = denoiser.record(&mut rec, frame, Vec::new()).map(drop);
     assert!(

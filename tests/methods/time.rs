@@ -204,6 +204,7 @@ fn frames_on_the_gpu_that_do_not_fit_together_are_refused() {
             features,
             samples: GpuSamples::Uniform(1.0),
             mean_variance: None,
+            payload: Vec::new(),
         }
     };
     for (denoiser, width, has_halves, features, fits) in [

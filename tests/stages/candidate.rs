@@ -130,7 +130,7 @@ fn filtered_as_needed(
         let payload = &rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
         let variance_of_mean = &upload_variance(rec, scene)?;
         let features = if features.is_empty() { None } else { Some(pack(rec, features)?) };
-        let frame = CandidateFrame { payload, guide: None, variance_of_mean, features: features.as_ref() };
+        let frame = CandidateFrame { payload, guide: None, variance_of_mean, features: features.as_ref(), layers: &[] };
         candidates(rec, extent, &Frames::one(frame), filters, window_of(case), needed, schedule, |_, _| Ok(()))
     });
     assert!(filtered.alone.is_none(), "there is one frame only");
@@ -206,7 +206,7 @@ fn filtered_in_time(gpu: &Gpu, case: Case, frames: &[InTime], schedule: Schedule
         }
         let frame = |index: usize| {
             let (payload, variance_of_mean, features): &(Buffer, Buffer, Option<Features>) = &uploaded[index];
-            CandidateFrame { payload, guide: None, variance_of_mean, features: features.as_ref() }
+            CandidateFrame { payload, guide: None, variance_of_mean, features: features.as_ref(), layers: &[] }
         };
         let frames = Frames { own: frame(0), beside: (1..uploaded.len()).map(frame).collect() };
         let (filters, window) = (filters(case), window_of(case));
@@ -516,7 +516,13 @@ fn a_payload_is_filtered_with_the_weights_of_another_image() {
             let guide = upload(rec, &of_guide.mean)?;
             let variance_of_mean = &upload_variance(rec, &of_guide)?;
             let features = if features.is_empty() { None } else { Some(pack(rec, &features)?) };
-            let frame = CandidateFrame { payload, guide: Some(&guide), variance_of_mean, features: features.as_ref() };
+            let frame = CandidateFrame {
+                payload,
+                guide: Some(&guide),
+                variance_of_mean,
+                features: features.as_ref(),
+                layers: &[],
+            };
             let (frames, needed) = (Frames::one(frame), Needed::EVERYTHING);
             let window = window_of(case);
             candidates(rec, extent, &frames, &filters, window, needed, FEW_REGISTERS, |_, _| Ok(()))

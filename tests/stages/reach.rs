@@ -224,7 +224,8 @@ fn filters_look_as_far_as_they_say() {
                 let features = &Features::take(rec, extent, &[3])?;
                 feature_pack(rec, extent, features, features.packing.slots[0], feature, None)?;
                 let (payload, variance_of_mean) = (signal, variance);
-                let frame = CandidateFrame { payload, guide: None, variance_of_mean, features: Some(features) };
+                let frame =
+                    CandidateFrame { payload, guide: None, variance_of_mean, features: Some(features), layers: &[] };
                 let (frames, needed, schedule) = (Frames::one(frame), Needed::EVERYTHING, Schedule::SOFTWARE);
                 let made = candidates(rec, extent, &frames, &filters, window, needed, schedule, |_, _| Ok(()))?;
                 let Candidates { means, spreads, derivatives, .. } = made.together;

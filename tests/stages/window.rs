@@ -120,7 +120,8 @@ fn check(gpu: &Gpu, case: Case, takes_part: [bool; 3], scene: &Scene, grey: bool
             let variance_of_mean = &upload(rec, &scene.variance)?;
             let packed = if features.is_empty() { None } else { Some(pack(rec, &features)?) };
             let slots = packed.as_ref().map_or_else(Vec::new, |packed| packed.packing.slots.clone());
-            let frame = CandidateFrame { payload, guide: None, variance_of_mean, features: packed.as_ref() };
+            let frame =
+                CandidateFrame { payload, guide: None, variance_of_mean, features: packed.as_ref(), layers: &[] };
             let (pixel, window) = (pixel(p), window_of(case));
             let windows = candidate_window(rec, extent, pixel, &frame, &filters, window, grey, SCHEDULE)?;
             Ok((windows, slots))

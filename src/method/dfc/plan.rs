@@ -49,6 +49,8 @@ method_plan! {
         error: PlannedStep,
         /// Sampling density: where the next samples reduce the error most (thesis 8.6).
         density: PlannedStep,
+        /// Layers filtered along with the colour; `None` if the frame has none.
+        payload: Option<PlannedStep>,
         /// Pixels without noise put back.
         keep_clean: PlannedStep,
     }
@@ -177,6 +179,7 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
             .but_for(exact.as_ref().filter(|_| limited)),
         error: planner.step("error", error, &[needless(!needs_error, "it is not wanted")]).beside_kernels(),
         density: planner.step("sampling density", "it is asked for", &unasked).beside_kernels(),
+        payload: planner.payload(facts),
         keep_clean: planner.keep_clean(params.keep_clean),
     };
     let plan = MethodPlan::Dfc(Box::new(plan));
