@@ -89,13 +89,13 @@ pub(super) fn with_input_kept(
         let input = Input { signal: &color.signal, sample_variance: color.variance_of_mean.as_deref() };
         result = Arc::new(keep_clean(rec, extent, input, &result, errors, CleanRule::DEFAULT)?);
         layers = rec.in_step(PAYLOAD_STEP, |rec| {
-            payload_mix(rec, extent, &payload.repaired, &layers, MixShare::OfSignal(&result))
+            payload_mix(rec, extent, payload.repaired.clone(), layers, MixShare::OfSignal(&result))
         })?;
     }
     if let Some(found) = found {
         result = Arc::new(light_return(rec, extent, &found.lights, &result, errors)?);
         layers = rec.in_step(PAYLOAD_STEP, |rec| {
-            payload_mix(rec, extent, &layers, &payload.means(), MixShare::OfSignal(&result))
+            payload_mix(rec, extent, layers, payload.means(), MixShare::OfSignal(&result))
         })?;
     }
     Ok((result, layers))

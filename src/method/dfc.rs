@@ -28,7 +28,7 @@ use crate::stage::error::{ErrorParts, error_blend, error_blend_more, error_diffe
 use crate::stage::exact::Region;
 use crate::stage::feature::{Features, feature_pack};
 use crate::stage::frames::Frames;
-use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, nlm_filter};
+use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, nlm_filter, nlm_filter_all};
 use crate::stage::payload::{MixShare, PAYLOAD_STEP, PayloadGroup, payload_blend, payload_mix};
 use crate::stage::sample::{GpuSamples, sample_density};
 use crate::stage::select::{
@@ -90,9 +90,8 @@ pub(crate) fn dfc(
 
     // Second pass filtering.
     let mut result = pass1.clone();
-    if let Some(pass2) = Pass2::new(rec, extent, &pass1, variance, work)? {
+    if let Some(pass2) = Pass2::new(rec, extent, &pass1, &mut layers, variance, work)? {
         keeper.keep(Intermediate::Pass1, "pass1", &RGB, Unit::Color, &pass1, 0);
-        layers = rec.in_step(PAYLOAD_STEP, |rec| pass2.payload(rec, extent, &pass1, layers, work))?;
         result = pass2.result;
     }
 
@@ -357,7 +356,7 @@ impl Pass1 {
         // Candidate filters.
         plan.candidates.begin(rec);
         let needed = work.needed();
-        let CandidatesInTime { together: candidates, alone } = {
+        let CandidatesInTime { together: mut candidates, alone } = {
             let frames = Frames {
                 own: prepared.own.candidate_frame(),
                 beside: prepared.beside.iter().map(PreparedFrame::candidate_frame).collect(),
@@ -371,12 +370,12 @@ impl Pass1 {
             let noisy = Noisy { signal: &color.signal, variance_of_mean: variance };
             select_frames(rec, extent, noisy, alone, &candidates, HARM)?;
         }
-        let sums_alone = alone.map(|alone| alone.payload);
+        let (sums, sums_alone) = (std::mem::take(&mut candidates.payload), alone.map(|alone| alone.payload));
         prepared.forget_neighbours();
         let PreparedFrame { color, variance, payload, .. } = &prepared.own;
         let blend_layers = |rec: &mut Recorder, shares: Option<&Buffer>| {
             rec.in_step(PAYLOAD_STEP, |rec| {
-                payload_blend(rec, extent, shares, &candidates, &payload.repaired, sums_alone.as_deref())
+                payload_blend(rec, extent, shares, &candidates, &payload.repaired, sums, sums_alone)
             })
         };
         let signal = &color.signal;
@@ -424,8 +423,8 @@ impl Pass1 {
         let mut color_only = None;
         if plan.color_only.runs {
             plan.color_only.begin(rec);
-            let (found, blended) = ColorOnly::new(rec, prepared, &candidates, &selection, &blend, work, keeper)?;
-            layers = rec.in_step(PAYLOAD_STEP, |rec| found.payload(rec, extent, &payload.repaired, &layers))?;
+            let (mut found, blended) = ColorOnly::new(rec, prepared, &candidates, &selection, &blend, work, keeper)?;
+            layers = rec.in_step(PAYLOAD_STEP, |rec| found.payload(rec, extent, &payload.repaired, layers))?;
             (color_only, blend) = (Some(found), blended);
         }
         keeper.keep_numbers(Intermediate::Selection, "selected", &names, Unit::Number, &selected);
@@ -467,14 +466,15 @@ impl ColorOnly {
 
     /// Returns the layers of the blend with this filter, from the layers of the blend without.
     fn payload(
-        &self,
+        &mut self,
         rec: &mut Recorder,
         extent: IVec2,
         given: &[PayloadGroup],
-        blend: &[PayloadGroup],
+        blend: Vec<PayloadGroup>,
     ) -> Result<Vec<PayloadGroup>> {
-        let own = payload_blend(rec, extent, None, &self.candidates, given, None)?;
-        payload_mix(rec, extent, blend, &own, MixShare::Plane(&self.shares))
+        let sums = std::mem::take(&mut self.candidates.payload);
+        let own = payload_blend(rec, extent, None, &self.candidates, given, sums, None)?;
+        payload_mix(rec, extent, blend, own, MixShare::Plane(&self.shares))
     }
 }
 
@@ -487,13 +487,18 @@ struct Pass2 {
     filtered: Arc<Buffer>,
     /// `filtered`, but pass 1 where the change would exceed the limit.
     result: Arc<Buffer>,
-    /// Whether there is a limit.
-    is_limited: bool,
 }
 
 impl Pass2 {
-    /// Filters pass 1. Returns `None` if the plan has no second pass.
-    fn new(rec: &mut Recorder, extent: IVec2, pass1: &Buffer, variance: &Buffer, work: Work) -> Result<Option<Self>> {
+    /// Filters pass 1, and its layers in place. Returns `None` if the plan has no second pass.
+    fn new(
+        rec: &mut Recorder,
+        extent: IVec2,
+        pass1: &Buffer,
+        layers: &mut Vec<PayloadGroup>,
+        variance: &Buffer,
+        work: Work,
+    ) -> Result<Option<Self>> {
         let Work { params, plan, schedule, wanted } = work;
         let Some(second_pass) = params.second_pass.filter(|_| plan.second_pass.runs) else { return Ok(None) };
         plan.second_pass.begin(rec);
@@ -508,44 +513,24 @@ impl Pass2 {
             wanted: wanted.result,
             ..filter.guide(pass1, &left_variance, 3)
         };
-        let payload = Payload { lanes: if grey { Lanes::Grey } else { Lanes::All }, ..Payload::new(pass1, 2) };
-        let filtered = Arc::new(
-            nlm_filter(rec, extent, &guide, &payload, filter.window_radius, params.weighting, false, schedule)?.planes,
-        );
+        let color = Payload { lanes: if grey { Lanes::Grey } else { Lanes::All }, ..Payload::new(pass1, 2) };
+        let payloads: Vec<_> = std::iter::once(color).chain(layers.iter().map(PayloadGroup::payload)).collect();
+        let (radius, weighting) = (filter.window_radius, params.weighting);
+        let mut all = nlm_filter_all(rec, extent, &guide, &payloads, radius, weighting, false, schedule)?;
+        let filtered = Arc::new(all.remove(0).planes);
+        let along = layers.iter().zip(all).map(|(group, filtered)| group.with_planes(filtered.planes));
+        let mut along: Vec<PayloadGroup> = along.collect();
         let result = match most_sigmas {
             Some(sigmas) => Arc::new(select_pass(rec, extent, pass1, &filtered, variance, sigmas)?),
             None => filtered.clone(),
         };
-        let is_limited = most_sigmas.is_some();
-        Ok(Some(Self { filter, left_variance, filtered, result, is_limited }))
-    }
-
-    /// Filters the layers of pass 1 with the weights of the second pass.
-    fn payload(
-        &self,
-        rec: &mut Recorder,
-        extent: IVec2,
-        pass1: &Buffer,
-        layers: Vec<PayloadGroup>,
-        work: Work,
-    ) -> Result<Vec<PayloadGroup>> {
-        let Work { params, plan, schedule, .. } = work;
-        let guide = Guide {
-            grey: work.is_grey(),
-            exact: plan.second_pass.exact.as_ref(),
-            ..self.filter.guide(pass1, &self.left_variance, 3)
-        };
-        let mut filtered = |group: &PayloadGroup| {
-            let payload = Payload::new(&group.buffer, group.planes);
-            let (radius, weighting) = (self.filter.window_radius, params.weighting);
-            let filtered = nlm_filter(rec, extent, &guide, &payload, radius, weighting, false, schedule)?;
-            Ok::<_, Error>(PayloadGroup { buffer: Arc::new(filtered.planes), planes: group.planes })
-        };
-        let filtered = layers.iter().map(&mut filtered).collect::<Result<Vec<_>>>()?;
-        if !self.is_limited {
-            return Ok(filtered);
+        if most_sigmas.is_some() {
+            along = rec.in_step(PAYLOAD_STEP, |rec| {
+                payload_mix(rec, extent, std::mem::take(layers), along, MixShare::OfSignal(&result))
+            })?;
         }
-        payload_mix(rec, extent, &layers, &filtered, MixShare::OfSignal(&self.result))
+        *layers = along;
+        Ok(Some(Self { filter, left_variance, filtered, result }))
     }
 }
 

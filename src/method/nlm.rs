@@ -14,14 +14,16 @@ use super::noise::estimate_noise;
 use super::payload::Payload as Along;
 use super::plan::{Facts, PlannedStep, Planner, Wishes, impossible, method_plan, needless};
 use super::spikes::Found;
-use super::{FrameInput, GpuSignal, Method};
+use super::{FrameInput, GpuPayload, GpuSignal, Method};
 use crate::error::{Error, RequestCause, Result};
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::error::error_halves;
 use crate::stage::frames::Frames;
 use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
 use crate::stage::half::{Halves, half_join, half_split};
-use crate::stage::nlm::{Beside, CentreWeight, Filtered, Guide, Payload, Schedule, Weighting, nlm_filter};
+use crate::stage::nlm::{
+    Beside, CentreWeight, Filtered, Guide, Payload, Schedule, Weighting, nlm_filter, nlm_filter_all,
+};
 use crate::stage::payload::{Half, MixShare, PAYLOAD_STEP, PayloadGroup, payload_half, payload_mix};
 use crate::stage::sample::sample_attach;
 use crate::stage::select::{HARM, Noisy, select_frames_of_filtered};
@@ -71,37 +73,19 @@ pub(crate) fn nlm(
     keeper.keep(Intermediate::Variance, "variance_of_mean", &RGB, Unit::ColorSquared, variance, 0);
 
     // Dual-buffer filtering; without halves, and for comparison, the original with one buffer.
-    let filter = |rec: &mut Recorder, buffers: &Buffers, others: &[Buffers], with_residual_variance: bool| {
-        let neighbours: Vec<_> =
-            others.iter().map(|other| Beside { signal: other.guide, variance_of_mean: other.variance }).collect();
-        let payloads: Vec<_> = others.iter().map(|other| other.payload).collect();
-        let guide = Guide { beside: &neighbours, ..buffers.guide(params) };
-        let payload = Payload { beside: &payloads, ..Payload::new(buffers.payload, buffers.payload_planes) };
-        nlm_filter(
-            rec,
-            extent,
-            &guide,
-            &payload,
-            params.window_radius,
-            params.weighting,
-            with_residual_variance,
-            schedule,
-        )
-    };
     let mut filtered_with = |rec: &mut Recorder, beside: &[Prepared], from: f32, to: f32| {
-        let filtered = if let Some(halves) = halves {
-            let others: Vec<_> = beside.iter().filter_map(|frame| frame.halves.as_ref()).collect();
-            let half = |rec: &mut Recorder, buffers: fn(&Halves) -> Buffers| {
-                filter(rec, &buffers(halves), &others.iter().map(|halves| buffers(halves)).collect::<Vec<_>>(), false)
-            };
-            let filtered_a = half(rec, Buffers::of_half_a)?;
+        let window = Frames { own: &own, beside: beside.iter().collect() };
+        let filtered = if halves.is_some() {
+            let a = filter(rec, extent, &window, Some(Half::A), params, false, schedule)?;
             progress(rec, (from + to) / 2.0)?;
-            let filtered_b = half(rec, Buffers::of_half_b)?;
-            half_join(rec, extent, [&filtered_a, &filtered_b])?
+            let b = filter(rec, extent, &window, Some(Half::B), params, false, schedule)?;
+            FilteredFrame {
+                color: half_join(rec, extent, [&a.color, &b.color])?,
+                layers: rec
+                    .in_step(PAYLOAD_STEP, |rec| payload_mix(rec, extent, a.layers, b.layers, MixShare::Even(0.5)))?,
+            }
         } else {
-            let others: Vec<_> =
-                beside.iter().map(|frame| Buffers::of_signal(&frame.signal, &frame.variance)).collect();
-            filter(rec, &Buffers::of_signal(signal, variance), &others, !has_halves && plan.error.runs)?
+            filter(rec, extent, &window, None, params, !has_halves && plan.error.runs, schedule)?
         };
         progress(rec, to)?;
         Ok::<_, Error>(filtered)
@@ -113,21 +97,16 @@ pub(crate) fn nlm(
     let share = if guarded { 1.0 / (beside.len() as f32 + 2.0) } else { 0.0 };
     let alone = guarded.then(|| filtered_with(rec, &[], 0.0, share)).transpose()?;
     plan.filter.begin(rec);
-    let filtered = filtered_with(rec, &beside, share, 1.0)?;
-    if let Some(alone) = &alone {
+    let FilteredFrame { color: filtered, mut layers } = filtered_with(rec, &beside, share, 1.0)?;
+    if let Some(FilteredFrame { color: alone, layers: layers_alone }) = alone {
         plan.frames.begin(rec);
-        select_frames_of_filtered(rec, extent, Noisy { signal, variance_of_mean: variance }, alone, &filtered, HARM)?;
+        let noisy = Noisy { signal, variance_of_mean: variance };
+        select_frames_of_filtered(rec, extent, noisy, &alone, &filtered, HARM)?;
+        layers = rec.in_step(PAYLOAD_STEP, |rec| {
+            payload_mix(rec, extent, layers, layers_alone, MixShare::OfSignal(&filtered.planes))
+        })?;
     }
-    // Layers are filtered with the same weights, half by half.
-    let layers = rec.in_step(PAYLOAD_STEP, |rec| {
-        let of_window =
-            |rec: &mut Recorder, beside: &[Prepared]| payload_filtered(rec, extent, &own, beside, params, schedule);
-        let together = of_window(rec, &beside)?;
-        let Some(_) = &alone else { return Ok(together) };
-        let alone = of_window(rec, &[])?;
-        payload_mix(rec, extent, &together, &alone, MixShare::OfSignal(&filtered.planes))
-    })?;
-    drop((beside, alone));
+    drop(beside);
 
     // Error estimation, and where the next samples pay (thesis 7.1.3).
     let mut error = None;
@@ -160,43 +139,46 @@ pub(crate) fn nlm(
     })
 }
 
-/// Filters the payload of the own frame over the window: each half with the weights of the other half of the colour, or
-/// the mean with the colour's own weights.
-fn payload_filtered(
+/// A filtered frame.
+struct FilteredFrame {
+    color: Filtered,
+    /// Layers, filtered with the same weights.
+    layers: Vec<PayloadGroup>,
+}
+
+/// Filters the own frame over the window: a half with the weights of the other half, or the mean with its own weights.
+fn filter(
     rec: &mut Recorder,
     extent: IVec2,
-    own: &Prepared,
-    beside: &[Prepared],
+    window: &Frames<&Prepared>,
+    half: Option<Half>,
     params: &NlmParams,
+    with_residual_variance: bool,
     schedule: Schedule,
-) -> Result<Vec<PayloadGroup>> {
-    let frames: Vec<&Prepared> = std::iter::once(own).chain(beside).collect();
-    let filtered = |rec: &mut Recorder, index: usize, half: Option<Half>| {
-        let payloads = frames.iter().map(|frame| frame.payload_half(rec, extent, index, half));
-        let payloads: Vec<PayloadGroup> = payloads.collect::<Result<_>>()?;
-        let buffers: Vec<Buffers> = frames.iter().map(|frame| frame.buffers(half)).collect();
-        let [own, others @ ..] = &buffers[..] else { unreachable!("a window has its own frame") };
-        let neighbours: Vec<_> =
-            others.iter().map(|other| Beside { signal: other.guide, variance_of_mean: other.variance }).collect();
-        let guide = Guide { beside: &neighbours, ..own.guide(params) };
-        let beside: Vec<&Buffer> = payloads[1..].iter().map(|group| &*group.buffer).collect();
-        let PayloadGroup { buffer, planes } = &payloads[0];
-        let payload = Payload { beside: &beside, ..Payload::new(buffer, *planes) };
-        let (radius, weighting) = (params.window_radius, params.weighting);
-        let filtered = nlm_filter(rec, extent, &guide, &payload, radius, weighting, false, schedule)?;
-        Ok::<_, Error>(PayloadGroup { buffer: Arc::new(filtered.planes), planes: *planes })
-    };
-    let mut layers = Vec::new();
-    for index in 0..own.payload.repaired.len() {
-        layers.push(if own.halves.is_some() {
-            let halves = [filtered(rec, index, Some(Half::A))?, filtered(rec, index, Some(Half::B))?];
-            let [a, b] = halves.each_ref().map(std::slice::from_ref);
-            payload_mix(rec, extent, a, b, MixShare::Even(0.5))?.swap_remove(0)
-        } else {
-            filtered(rec, index, None)?
-        });
-    }
-    Ok(layers)
+) -> Result<FilteredFrame> {
+    let Frames { own, beside } = window;
+    let buffers = own.buffers(half);
+    let others: Vec<Buffers> = beside.iter().map(|frame| frame.buffers(half)).collect();
+    let neighbours: Vec<_> =
+        others.iter().map(|other| Beside { signal: other.guide, variance_of_mean: other.variance }).collect();
+    let guide = Guide { beside: &neighbours, ..buffers.guide(params) };
+    let colors: Vec<_> = others.iter().map(|other| other.payload).collect();
+    let layers = own.layers(rec, extent, half)?;
+    let layers_beside = beside.iter().map(|frame| frame.layers(rec, extent, half)).collect::<Result<Vec<_>>>()?;
+    let of_group = |index: usize| layers_beside.iter().map(|layers| &*layers[index].buffer).collect::<Vec<_>>();
+    let neighbours_of_layers: Vec<Vec<&Buffer>> = (0..layers.len()).map(of_group).collect();
+    let payloads: Vec<Payload> =
+        std::iter::once(Payload { beside: &colors, ..Payload::new(buffers.payload, buffers.payload_planes) })
+            .chain(
+                layers.iter().zip(&neighbours_of_layers).map(|(group, beside)| Payload { beside, ..group.payload() }),
+            )
+            .collect();
+    let (radius, weighting) = (params.window_radius, params.weighting);
+    let mut filtered =
+        nlm_filter_all(rec, extent, &guide, &payloads, radius, weighting, with_residual_variance, schedule)?;
+    let color = filtered.remove(0);
+    let layers = layers.iter().zip(filtered).map(|(group, filtered)| group.with_planes(filtered.planes)).collect();
+    Ok(FilteredFrame { color, layers })
 }
 
 /// Input of one run of the filter, from one frame.
@@ -307,21 +289,16 @@ impl Prepared {
         }
     }
 
-    /// Returns a half of a group of layers; the mean where there is no half, or no half spread tells it.
-    fn payload_half(
-        &self,
-        rec: &mut Recorder,
-        extent: IVec2,
-        index: usize,
-        half: Option<Half>,
-    ) -> Result<PayloadGroup> {
-        let repaired = &self.payload.repaired[index];
-        match (half, &self.payload.given[index].half_spread, &self.given) {
-            (Some(half), Some(spread), Some(given)) => {
-                payload_half(rec, extent, half, repaired, spread, [given, &self.color.signal])
-            }
+    /// Returns a half of the layers; the mean where there is no half, or no half spread tells it.
+    fn layers(&self, rec: &mut Recorder, extent: IVec2, half: Option<Half>) -> Result<Vec<PayloadGroup>> {
+        let Along { given, repaired } = &self.payload;
+        let of_group = |(repaired, given): (&PayloadGroup, &GpuPayload)| match (half, &given.half_spread, &self.given) {
+            (Some(half), Some(spread), Some(color)) => rec.in_step(PAYLOAD_STEP, |rec| {
+                payload_half(rec, extent, half, repaired, spread, [color, &self.color.signal])
+            }),
             _ => Ok(repaired.clone()),
-        }
+        };
+        repaired.iter().zip(given).map(of_group).collect()
     }
 
     fn new(rec: &mut Recorder, frame: FrameInput, plan: &NlmPlan, schedule: Schedule) -> Result<Self> {

@@ -5,6 +5,7 @@ use glam::IVec2;
 use serde::Serialize;
 
 use super::exact::{ExactTiles, Region};
+use super::payload::PAYLOAD_STEP;
 use super::{PLANE_PIXEL_BYTES, plane_bytes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Definition, Gpu, Recorder, bindings, uniforms};
@@ -659,59 +660,112 @@ pub fn nlm_filter(
     with_residual_variance: bool,
     schedule: Schedule,
 ) -> Result<Filtered> {
-    let planes = rec.take("filtered planes", plane_bytes(extent, payload.count))?;
-    let weights = rec.take("weight sums", plane_bytes(extent, 1))?;
-    let residual_variance =
-        with_residual_variance.then(|| rec.take("residual variance", plane_bytes(extent, 1))).transpose()?;
+    let payloads = std::slice::from_ref(payload);
+    let mut filtered =
+        nlm_filter_all(rec, extent, guide, payloads, window_radius, weighting, with_residual_variance, schedule)?;
+    Ok(filtered.swap_remove(0))
+}
+
+/// As [`nlm_filter`], for several payloads, at least one, whose distances are computed once. The first one may get a
+/// residual variance.
+///
+/// # Errors
+/// As [`nlm_filter`].
+#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
+pub fn nlm_filter_all(
+    rec: &mut Recorder,
+    extent: IVec2,
+    guide: &Guide,
+    payloads: &[Payload],
+    window_radius: u32,
+    weighting: Weighting,
+    with_residual_variance: bool,
+    schedule: Schedule,
+) -> Result<Vec<Filtered>> {
+    let mut all = Vec::with_capacity(payloads.len());
+    for (index, payload) in payloads.iter().enumerate() {
+        let with_residual_variance = with_residual_variance && index == 0;
+        all.push(Filtered {
+            planes: rec.take("filtered planes", plane_bytes(extent, payload.count))?,
+            weights: rec.take("weight sums", plane_bytes(extent, 1))?,
+            residual_variance: with_residual_variance
+                .then(|| rec.take("residual variance", plane_bytes(extent, 1)))
+                .transpose()?,
+        });
+    }
     let [symmetric, hard] = weighting.symmetric.definitions();
-    let definitions = [
-        ("PATCH_RADIUS", Definition::Int(guide.patch_radius as i32)),
-        ("PAYLOAD_PLANES", Definition::Int(payload.count as i32)),
-        ("ONE_LANE", (payload.lanes != Lanes::All).into()),
-        ("GREY", (payload.lanes == Lanes::Grey).into()),
-        schedule.pixels_definition(),
-        ("PATCHWISE", guide.patchwise.into()),
-        symmetric,
-        hard,
-        ("RESIDUAL", with_residual_variance.into()),
-    ];
     let needs = ChunkNeeds { distances: true, sum_planes: 0, pair_values: 0 };
     for_each_chunk(rec, extent, guide, needs, window_radius, weighting, schedule, |rec, chunk| {
-        let (params, columns) = (chunk.params, chunk.columns.within_columns_and_rows(guide.patch_radius, 0));
-        let invocations = schedule.per_row_of_pixels(&params);
-        let (filtered, weights, variance_of_mean) = (&planes, &weights, guide.variance_of_mean);
-        let neighbours = chunk.beside.map_or(payload.planes, |index| payload.beside[index]).within(window_radius);
-        let neighbours_variance = chunk.beside.map_or(variance_of_mean, |index| guide.beside[index].variance_of_mean);
-        let neighbours_variance = neighbours_variance.within(window_radius);
-        let payload = payload.planes;
-        match &residual_variance {
-            None => rec.dispatch(
-                "nlm_filter",
-                &definitions,
-                &NlmFilter { params, columns, payload, neighbours, filtered, weights },
-                invocations,
-            ),
-            Some(residual_variance) => {
-                let bound = NlmFilterResidual {
-                    params,
-                    columns,
-                    payload,
-                    neighbours,
-                    filtered,
-                    weights,
-                    variance_of_mean,
-                    neighbours_variance,
-                    residual_variance,
-                };
-                rec.dispatch("nlm_filter", &definitions, &bound, invocations)
-            }
+        for (index, (payload, filtered)) in payloads.iter().zip(&all).enumerate() {
+            let definitions = [
+                ("PATCH_RADIUS", Definition::Int(guide.patch_radius as i32)),
+                ("PAYLOAD_PLANES", Definition::Int(payload.count as i32)),
+                ("ONE_LANE", (payload.lanes != Lanes::All).into()),
+                ("GREY", (payload.lanes == Lanes::Grey).into()),
+                schedule.pixels_definition(),
+                ("PATCHWISE", guide.patchwise.into()),
+                symmetric,
+                hard,
+                ("RESIDUAL", filtered.residual_variance.is_some().into()),
+            ];
+            let filter = |rec: &mut Recorder| {
+                filter_chunk(rec, chunk, guide, payload, window_radius, schedule, &definitions, filtered)
+            };
+            if index == 0 { filter(rec)? } else { rec.in_step(PAYLOAD_STEP, filter)? }
         }
+        Ok(())
     })?;
     if let Some(exact) = guide.exact {
         let tiles = exact.upload(rec, extent)?;
-        tiles.copy(rec, payload.planes, &planes, payload.count)?;
-        tiles.fill(rec, &weights, 1, true)?;
-        residual_variance.iter().try_for_each(|variance| tiles.fill(rec, variance, 1, false))?;
+        for (payload, Filtered { planes, weights, residual_variance }) in payloads.iter().zip(&all) {
+            tiles.copy(rec, payload.planes, planes, payload.count)?;
+            tiles.fill(rec, weights, 1, true)?;
+            residual_variance.iter().try_for_each(|variance| tiles.fill(rec, variance, 1, false))?;
+        }
     }
-    Ok(Filtered { planes, weights, residual_variance })
+    Ok(all)
+}
+
+/// Adds the pairs of a chunk to the sums of a payload.
+#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
+fn filter_chunk(
+    rec: &mut Recorder,
+    chunk: &Chunk,
+    guide: &Guide,
+    payload: &Payload,
+    window_radius: u32,
+    schedule: Schedule,
+    definitions: &[(&str, Definition)],
+    filtered: &Filtered,
+) -> Result<()> {
+    let (params, columns) = (chunk.params, chunk.columns.within_columns_and_rows(guide.patch_radius, 0));
+    let invocations = schedule.per_row_of_pixels(&params);
+    let Filtered { planes: filtered, weights, residual_variance } = filtered;
+    let variance_of_mean = guide.variance_of_mean;
+    let neighbours = chunk.beside.map_or(payload.planes, |index| payload.beside[index]).within(window_radius);
+    let neighbours_variance = chunk.beside.map_or(variance_of_mean, |index| guide.beside[index].variance_of_mean);
+    let neighbours_variance = neighbours_variance.within(window_radius);
+    let payload = payload.planes;
+    match residual_variance {
+        None => rec.dispatch(
+            "nlm_filter",
+            definitions,
+            &NlmFilter { params, columns, payload, neighbours, filtered, weights },
+            invocations,
+        ),
+        Some(residual_variance) => {
+            let bound = NlmFilterResidual {
+                params,
+                columns,
+                payload,
+                neighbours,
+                filtered,
+                weights,
+                variance_of_mean,
+                neighbours_variance,
+                residual_variance,
+            };
+            rec.dispatch("nlm_filter", definitions, &bound, invocations)
+        }
+    }
 }

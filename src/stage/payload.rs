@@ -13,7 +13,7 @@ use glam::{IVec2, IVec4};
 use super::candidate::Candidates;
 use super::candidate_filter::Pass;
 use super::feature::Features;
-use super::nlm::{Chunk, NlmParams, Schedule};
+use super::nlm::{Chunk, NlmParams, Payload, Schedule};
 use super::spike::{Repaired, SpikeParams, SpikeRule, feature_groups};
 use super::{per_pixel, plane_bytes};
 use crate::error::Result;
@@ -74,8 +74,17 @@ pub struct PayloadGroup {
 impl PayloadGroup {
     /// Takes a buffer for a group like this one.
     fn like(&self, rec: &mut Recorder, label: &str, extent: IVec2) -> Result<Self> {
-        let buffer = Arc::new(rec.take(label, plane_bytes(extent, self.planes))?);
-        Ok(Self { buffer, planes: self.planes })
+        Ok(self.with_planes(rec.take(label, plane_bytes(extent, self.planes))?))
+    }
+
+    /// Returns the group as the payload of a filter over one frame.
+    pub(crate) fn payload(&self) -> Payload<'_> {
+        Payload::new(&self.buffer, self.planes)
+    }
+
+    /// Returns a group of as many planes in another buffer.
+    pub(crate) fn with_planes(&self, buffer: Buffer) -> Self {
+        Self { buffer: Arc::new(buffer), planes: self.planes }
     }
 
     fn definition(&self) -> (&'static str, Definition) {
@@ -151,8 +160,10 @@ pub(super) fn payload_accumulate(
 }
 
 /// Averages the payload of the candidates by `shares` (see [`select_share`](super::select::select_share)); without
-/// shares, the only candidate is the average. `payload` is what the candidates averaged. `alone` holds the sums over
-/// the own frame alone, if [`select_frames`](super::select::select_frames) has compared the candidates with them.
+/// shares, the only candidate is the average. `payload` is what the candidates averaged, `sums` their
+/// [`Candidates::payload`]. `sums_alone` holds the sums over the own frame alone, if
+/// [`select_frames`](super::select::select_frames) has compared the candidates with them. Gives the buffers of the sums
+/// back group by group.
 ///
 /// # Errors
 /// As [`Recorder::take`] and [`Recorder::dispatch`].
@@ -162,9 +173,12 @@ pub fn payload_blend(
     shares: Option<&Buffer>,
     candidates: &Candidates,
     payload: &[PayloadGroup],
-    alone: Option<&[Arc<Buffer>]>,
+    sums: Vec<Arc<Buffer>>,
+    sums_alone: Option<Vec<Arc<Buffer>>>,
 ) -> Result<Vec<PayloadGroup>> {
-    let blend = |(index, (group, sums)): (usize, (&PayloadGroup, &Arc<Buffer>))| {
+    let mut sums_alone = sums_alone.map(Vec::into_iter);
+    let blend = |(group, sums): (&PayloadGroup, Arc<Buffer>)| {
+        let alone = sums_alone.as_mut().and_then(Iterator::next);
         let blended = group.like(rec, "blend of the payload", extent)?;
         let definitions = [
             candidates.definition(),
@@ -177,26 +191,27 @@ pub fn payload_blend(
             shares,
             means: &candidates.means,
             payload: &group.buffer,
-            sums,
-            sums_alone: alone.map(|alone| &*alone[index]),
-            spreads: alone.map(|_| &*candidates.spreads),
+            sums: &sums,
+            sums_alone: alone.as_deref(),
+            spreads: alone.as_ref().map(|_| &*candidates.spreads),
             blended: &blended.buffer,
         };
         rec.dispatch("payload_blend", &definitions, &bound, per_pixel(extent))?;
         Ok(blended)
     };
-    payload.iter().zip(&candidates.payload).enumerate().map(blend).collect()
+    payload.iter().zip(sums).map(blend).collect()
 }
 
-/// Mixes two versions of a payload by the share that the second one has in each pixel.
+/// Mixes two versions of a payload by the share that the second one has in each pixel. Gives their buffers back group by
+/// group.
 ///
 /// # Errors
 /// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn payload_mix(
     rec: &mut Recorder,
     extent: IVec2,
-    first: &[PayloadGroup],
-    second: &[PayloadGroup],
+    first: Vec<PayloadGroup>,
+    second: Vec<PayloadGroup>,
     share: MixShare,
 ) -> Result<Vec<PayloadGroup>> {
     let (shares, share_plane, share_component, share) = match share {
@@ -204,14 +219,14 @@ pub fn payload_mix(
         MixShare::OfSignal(signal) => (Some(signal), 1, 3, 0.0),
         MixShare::Plane(plane) => (Some(plane), 0, 0, 0.0),
     };
-    let mix = |(first, second): (&PayloadGroup, &PayloadGroup)| {
+    let mix = |(first, second): (PayloadGroup, PayloadGroup)| {
         let mixed = first.like(rec, "mixed payload", extent)?;
         let params = PayloadMixParams { extent, planes: first.planes as i32, share_plane, share_component, share };
         let bound = PayloadMix { params, first: &first.buffer, second: &second.buffer, shares, mixed: &mixed.buffer };
         rec.dispatch("payload_mix", &[("SHARED", shares.is_some().into())], &bound, per_pixel(extent))?;
         Ok(mixed)
     };
-    first.iter().zip(second).map(mix).collect()
+    first.into_iter().zip(second).map(mix).collect()
 }
 
 /// Takes spikes and lights of few pixels out of a payload where [`spike_find`](super::spike::spike_find) has found them
@@ -275,7 +290,7 @@ pub fn payload_repair(
 /// # Errors
 /// As [`payload_mix`].
 pub fn payload_copy(rec: &mut Recorder, extent: IVec2, payload: &[PayloadGroup]) -> Result<Vec<PayloadGroup>> {
-    payload_mix(rec, extent, payload, payload, MixShare::Even(0.0))
+    payload_mix(rec, extent, payload.to_vec(), payload.to_vec(), MixShare::Even(0.0))
 }
 
 /// Replaces pixels of a payload by their values at the scale `sigma`, in pixels, wherever `choice` says that the colour

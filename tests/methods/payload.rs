@@ -290,7 +290,7 @@ fn rounds_change_no_bit_of_a_layer() {
     let frame = with_spikes(0, EVERYTHING);
     let mut random = Random(12);
     let mut plane = || (0..WIDTH * HEIGHT).map(|_| random.uniform() as f32).collect();
-    let layers = (0..21).map(|index| {
+    let layers = (0..33).map(|index| {
         let mean = Image { extent: frame.extent(), planes: vec![plane(), plane(), plane()] };
         layer(&format!("light {index}"), &mean, None)
     });
@@ -299,9 +299,12 @@ fn rounds_change_no_bit_of_a_layer() {
         let denoiser = Denoiser::new(gpu(), method.with_window_radius(3)).unwrap_or_else(|error| panic!("{error}"));
         let whole = denoise(&denoiser, &[&frame]);
         assert_eq!((whole.plan.rounds, whole.strips), (1, 1));
-        let in_rounds = denoise(&denoiser.with_max_memory(whole.peak_bytes / 2), &[&frame]);
+        // As much as one group of layers takes. The halo is as high as the frame, so that strips save little.
+        let few = with_payload(frame.clone(), frame.payload()[..4].to_vec());
+        let limit = denoiser.requirements(&[&few], 0, &Options::default()).unwrap_or_else(|error| panic!("{error}"));
+        let in_rounds = denoise(&denoiser.with_max_memory(limit.peak_bytes), &[&frame]);
         assert!(in_rounds.plan.rounds > 1, "{}: one round", method.name());
-        assert!(in_rounds.peak_bytes <= whole.peak_bytes / 2, "{}", method.name());
+        assert!(in_rounds.peak_bytes <= limit.peak_bytes, "{}", method.name());
         assert_same_bits(&in_rounds.color, &whole.color, "the colour");
         assert_eq!(in_rounds.error, whole.error);
         for (in_rounds, whole) in in_rounds.payload.iter().zip(&whole.payload) {
@@ -330,7 +333,7 @@ fn forty_layers_stay_within_the_memory_limit() {
         half_spread: None,
     });
     let frame = with_payload(frame, layers.collect());
-    let params = DfcParams { window_radius: 2, ..DfcParams::default() };
+    let params = DfcParams { window_radius: 1, ..DfcParams::default() };
     let limit = 256 << 20;
     let denoiser = Denoiser::new(gpu(), params).unwrap_or_else(|error| panic!("{error}")).with_max_memory(limit);
     let estimate = denoise(&denoiser, &[&frame]);

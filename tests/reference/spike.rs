@@ -81,6 +81,8 @@ impl Lights {
 }
 
 struct Spike {
+    /// The neighbours whose mean is the level.
+    neighbours: Vec<Point>,
     level: Vec<f64>,
     /// Variance after the repair, from the neighbours' variances.
     variance: Vec<f64>,
@@ -95,46 +97,88 @@ struct Share {
     members: f64,
 }
 
+/// Spikes and lights of a colour, and how spikes are spread.
+struct Found {
+    /// A spike or light for each pixel that is one.
+    spikes: Vec<Option<Spike>>,
+    /// Brightness around each pixel.
+    levels: Grid,
+    shares: Vec<Share>,
+}
+
+/// A colour, its features and the rules, to find its spikes with.
+#[derive(Clone, Copy)]
+struct Input<'a> {
+    color: &'a Signal,
+    features: &'a [Feature],
+    params: &'a SpikeParams,
+}
+
+impl Input<'_> {
+    fn found(self) -> Found {
+        let Input { color, features, params } = self;
+        let mean = &color.mean;
+        // A frame without noise is left alone.
+        let any_noise = [&color.spread, &color.sample_variance]
+            .into_iter()
+            .flatten()
+            .flatten()
+            .any(|plane| plane.values.iter().any(|value| *value != 0.0));
+        let spikes: Vec<Option<Spike>> = super::map_pixels(mean[0].width, mean[0].height, |p| {
+            if any_noise { spike(color, features, params, p) } else { None }
+        });
+        let at = |p: Point| spikes[mean[0].index(p)].as_ref();
+        let without: Planes =
+            (0..mean.len()).map(|i| mean[i].like(|p| at(p).map_or(mean[i].at(p), |spike| spike.level[i]))).collect();
+        let levels = mean[0].like(|p| level_around(&without, p));
+        let shares: Vec<Share> = super::map_pixels(mean[0].width, mean[0].height, |p| {
+            let spike = at(p).filter(|spike| spike.light.is_none());
+            let members: f64 = self.around(p).filter(|_| spike.is_some()).map(|q| self.gets(&levels, p, q)).sum();
+            let Some(spike) = spike.filter(|_| members > 0.0) else { return Share { part: 0.0, members: 1.0 } };
+            let level_of_members =
+                self.around(p).map(|q| self.gets(&levels, p, q) * levels.at(q)).sum::<f64>() / members;
+            let limit = params.share_limit.unwrap_or(0.0) * levels.at(p).min(level_of_members);
+            let even =
+                spike.excess.iter().map(|excess| excess.max(0.0)).sum::<f64>() / spike.excess.len() as f64 / members;
+            Share { part: if limit > 0.0 { limit / (limit + even) } else { 0.0 }, members }
+        });
+        Found { spikes, levels, shares }
+    }
+
+    /// The pixels that a spike is spread over, or that spread to a pixel.
+    fn around(&self, p: Point) -> impl Iterator<Item = Point> + use<'_> {
+        square(self.params.spread_radius).map(move |o| p + o).filter(|&q| self.color.mean[0].contains(q))
+    }
+
+    /// The part that q gets of a spike at p, relative to the part of a pixel in its place.
+    fn gets(&self, levels: &Grid, p: Point, q: Point) -> f64 {
+        let alike = is_noisy(self.color, q) && alike(self.features, self.params, p, q);
+        if alike { falloff(self.params, p, q) * affinity(levels.at(p), levels.at(q)) } else { 0.0 }
+    }
+
+    /// Σ of the amounts, each to this power, that q gets from the spikes around, of which each gives `excess`.
+    fn received(&self, found: &Found, q: Point, power: i32, excess: &dyn Fn(Point, &Spike) -> f64) -> f64 {
+        let index = |p: Point| self.color.mean[0].index(p);
+        let share = |p: Point| {
+            let Share { part, members } = found.shares[index(p)];
+            let spike = found.spikes[index(p)].as_ref().filter(|spike| spike.light.is_none());
+            spike.map_or(0.0, |spike| self.gets(&found.levels, p, q) * part * excess(p, spike) / members)
+        };
+        self.around(q).map(|p| share(p).powi(power)).sum()
+    }
+}
+
 pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> Repaired {
+    let input = Input { color, features, params };
+    let found = input.found();
     let mean = &color.mean;
-    // A frame without noise is left alone.
-    let any_noise = [&color.spread, &color.sample_variance]
-        .into_iter()
-        .flatten()
-        .flatten()
-        .any(|plane| plane.values.iter().any(|value| *value != 0.0));
-    let spikes: Vec<Option<Spike>> = super::map_pixels(mean[0].width, mean[0].height, |p| {
-        if any_noise { spike(color, features, params, p) } else { None }
-    });
-    let at = |p: Point| spikes[mean[0].index(p)].as_ref();
+    let at = |p: Point| found.spikes[mean[0].index(p)].as_ref();
     let spike_at = |p: Point| at(p).filter(|spike| spike.light.is_none());
     let light_at = |p: Point| at(p).filter(|spike| spike.light.is_some());
-    let without: Planes =
-        (0..mean.len()).map(|i| mean[i].like(|p| at(p).map_or(mean[i].at(p), |spike| spike.level[i]))).collect();
-    let levels = mean[0].like(|p| level_around(&without, p));
-    // The parts of a spike at p for the pixels around, relative to the part of a pixel in its place.
-    let gets = |p: Point, q: Point| {
-        let alike = is_noisy(color, q) && alike(features, params, p, q);
-        if alike { falloff(params, p, q) * affinity(levels.at(p), levels.at(q)) } else { 0.0 }
-    };
-    let around = |p: Point| square(params.spread_radius).map(move |o| p + o).filter(|&q| mean[0].contains(q));
-    let shares: Vec<Share> = super::map_pixels(mean[0].width, mean[0].height, |p| {
-        let members: f64 = around(p).filter(|_| spike_at(p).is_some()).map(|q| gets(p, q)).sum();
-        let Some(spike) = spike_at(p).filter(|_| members > 0.0) else { return Share { part: 0.0, members: 1.0 } };
-        let level_of_members = around(p).map(|q| gets(p, q) * levels.at(q)).sum::<f64>() / members;
-        let limit = params.share_limit.unwrap_or(0.0) * levels.at(p).min(level_of_members);
-        let even = spike.excess.iter().map(|excess| excess.max(0.0)).sum::<f64>() / spike.excess.len() as f64 / members;
-        Share { part: if limit > 0.0 { limit / (limit + even) } else { 0.0 }, members }
-    });
-    let received = |i: usize, q: Point, power: i32| {
-        let share = |p: Point| {
-            let Share { part, members } = shares[mean[0].index(p)];
-            spike_at(p).map_or(0.0, |spike| gets(p, q) * part * spike.excess[i].max(0.0) / members)
-        };
-        around(q).map(|p| share(p).powi(power)).sum::<f64>()
-    };
+    let received =
+        |i: usize, q: Point, power: i32| input.received(&found, q, power, &|_, spike| spike.excess[i].max(0.0));
     let channels = 0..mean.len();
-    let plane = |i: usize| mean[i].like(|p| without[i].at(p) + received(i, p, 1));
+    let plane = |i: usize| mean[i].like(|p| at(p).map_or(mean[i].at(p), |spike| spike.level[i]) + received(i, p, 1));
     let spread = |planes: &Planes| {
         let held = |i: usize, p: Point| at(p).map_or(f64::INFINITY, |spike| spike.variance[i].sqrt());
         planes.iter().enumerate().map(|(i, plane)| plane.like(|p| plane.at(p).clamp(-held(i, p), held(i, p)))).collect()
@@ -165,8 +209,32 @@ pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> R
                 .collect(),
             variance: mean[0].like(|p| light_at(p).and_then(|light| light.light).unwrap_or(0.0)),
         },
-        part: mean[0].like(|p| shares[mean[0].index(p)].part),
+        part: mean[0].like(|p| found.shares[mean[0].index(p)].part),
     }
+}
+
+/// A payload without the spikes of a colour. Its first three planes belong to the channels of the colour; further planes
+/// belong to all of them.
+pub fn repaired_payload(color: &Signal, features: &[Feature], params: &SpikeParams, payload: &[Grid]) -> Planes {
+    let input = Input { color, features, params };
+    let found = input.found();
+    let level = |plane: &Grid, p: Point| match &found.spikes[plane.index(p)] {
+        Some(Spike { neighbours, .. }) => {
+            neighbours.iter().map(|&q| plane.at(q)).sum::<f64>() / neighbours.len() as f64
+        }
+        None => plane.at(p),
+    };
+    let repaired = |(i, plane): (usize, &Grid)| {
+        let excess = |p: Point, spike: &Spike| {
+            let gives = spike.excess.get(i).is_none_or(|excess| *excess > 0.0);
+            if gives { plane.at(p) - level(plane, p) } else { 0.0 }
+        };
+        plane.like(|p| {
+            let gets = if is_noisy(color, p) { input.received(&found, p, 1, &excess) } else { 0.0 };
+            level(plane, p) + gets
+        })
+    };
+    payload.iter().enumerate().map(repaired).collect()
 }
 
 fn spike(color: &Signal, features: &[Feature], params: &SpikeParams, p: Point) -> Option<Spike> {
@@ -205,7 +273,8 @@ fn spike(color: &Signal, features: &[Feature], params: &SpikeParams, p: Point) -
     if !stands_out || !is_spike && light.is_none() {
         return None;
     }
-    Some(Spike { variance: of_neighbours(&claimed), level, excess, light })
+    let variance = of_neighbours(&claimed);
+    Some(Spike { neighbours, variance, level, excess, light })
 }
 
 /// The brightness of the 3×3 pixels around: their median (of an even number the lower middle one), at least 0. A median

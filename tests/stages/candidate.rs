@@ -107,7 +107,7 @@ fn all_bits(gpu: &Gpu, Candidates { means, spreads, derivatives, .. }: &Candidat
 }
 
 /// A variance as `variance_floor` leaves it, with the brightness around each pixel in w.
-fn upload_variance(rec: &mut Recorder, scene: &Scene) -> Result<Buffer> {
+pub(crate) fn upload_variance(rec: &mut Recorder, scene: &Scene) -> Result<Buffer> {
     let around = [rounded(brightness_around(&scene.mean))];
     upload(rec, &[scene.variance.as_slice(), &around].concat())
 }

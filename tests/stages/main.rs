@@ -19,6 +19,7 @@ mod gaussian;
 mod keep_clean;
 mod nlm;
 mod noise;
+mod payload;
 mod reach;
 mod scale;
 mod select;

@@ -98,6 +98,7 @@ fn upload_bank(rec: &mut Recorder, bank: &Bank) -> stein::Result<Candidates> {
         means: Arc::new(rec.upload("means", &planes(&means))?),
         spreads: Arc::new(rec.upload("half spreads", &planes(&bank.spreads))?),
         derivatives: Some(Arc::new(rec.upload("derivatives", &planes(&bank.derivatives))?)),
+        payload: Vec::new(),
     })
 }
 

@@ -17,7 +17,7 @@ use crate::reference::{Grid, Planes};
 
 /// A calm scene in which one pixel of 7 has no noise and one of 40 stands out, by a tenth to a million. Its halves and
 /// its variance show all of the excess or almost none.
-fn spiky_scene(width: usize, height: usize, seed: u64) -> Scene {
+pub(crate) fn spiky_scene(width: usize, height: usize, seed: u64) -> Scene {
     let calm = calm_scene(width, height, seed);
     let mut random = Random(seed + 100);
     let mut uniform = |high: f64| random.uniform_grid(width, height, 0.0, high);
@@ -72,7 +72,7 @@ struct Case<'a> {
 }
 
 /// A decision may differ if a distance is 1 to the last digit, and each decision affects a window of pixels.
-const FLIPPED: f64 = 0.002;
+pub(crate) const FLIPPED: f64 = 0.002;
 
 /// Returns how many spikes and lights there were.
 fn check(case: &Case) -> [usize; 2] {

@@ -87,7 +87,7 @@ fn kernels_within(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, work: Wor
         let kernel = kernels_of_candidates(rec, extent, &prepared.own, &[], &filters, pixel, work)?;
         kernels.extend(kernel.into_iter().map(|kernel| KernelOnGpu { share: Some(share.clone()), ..kernel }));
     }
-    if let Some(pass2) = Pass2::new(rec, extent, &pass1.blend, &prepared.own.variance, work)? {
+    if let Some(pass2) = Pass2::new(rec, extent, &pass1.blend, &mut Vec::new(), &prepared.own.variance, work)? {
         let Pass2 { filter, left_variance, filtered, result, .. } = pass2;
         let window_radius = filter.window_radius;
         let weights = if is_exact_at(pixel, &plan.second_pass) {
