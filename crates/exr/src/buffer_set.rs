@@ -279,8 +279,12 @@ impl BufferSet {
             }
             Some((source.name.clone(), image))
         };
-        let payload = self.pictures[picture].payload.iter().filter_map(layer).collect();
-        Ok(References { color, payload })
+        let own = &self.pictures[picture];
+        let payload: Vec<(String, Image)> = own.payload.iter().filter_map(layer).collect();
+        let is_alpha = |source: &&PayloadSource| Some(&source.signal.mean) == own.alpha.as_ref();
+        let alpha = own.payload.iter().find(is_alpha);
+        let alpha = alpha.and_then(|source| payload.iter().position(|(name, _)| *name == source.name));
+        Ok(References { color, payload, alpha })
     }
 
     fn color_of_reference(&self, picture: usize, reference: &LayerRef, file: &ExrFile) -> Result<Image> {
@@ -545,6 +549,8 @@ pub struct References {
     pub color: Image,
     /// Names and images of layers that are denoised along, in the order of [`BufferSet::payload`].
     pub payload: Vec<(String, Image)>,
+    /// Index of the colour's alpha in `payload`; `None` without one.
+    pub alpha: Option<usize>,
 }
 
 /// Whether a file may hold straight colours: the decoder multiplies those of PNG files by their alpha.

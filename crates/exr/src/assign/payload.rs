@@ -187,6 +187,7 @@ impl Files {
         match self.meaning(id) {
             Some(meaning) if meaning.role == Some(RoleName::Id) => return Some("it holds numbers of objects"),
             Some(meaning) if meaning.role == Some(RoleName::Samples) => return Some("it counts samples"),
+            Some(meaning) if meaning.role == Some(RoleName::Denoised) => return Some("the renderer has denoised it"),
             Some(meaning) if meaning.role == Some(RoleName::Alpha) => {
                 return Some("it is alpha, which is denoised without being named");
             }
