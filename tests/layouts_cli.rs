@@ -78,7 +78,8 @@ fn what_looks_like_a_variance_and_is_none_is_named() {
     info(&["vray/maya.exr"]).succeeded().said(&[
         "its noise is not known",
         "not used  noiseLevel: a renderer's noise heuristic, not a variance",
-        "copied    2 lights, 2 ids, 1 denoised by the renderer, 4 others (-v lists them)",
+        "along     2 light layers, alpha",
+        "copied    2 ids, 1 denoised by the renderer, 4 others (-v lists them)",
     ]);
 }
 
@@ -119,7 +120,8 @@ fn every_layer_is_listed_on_request_and_in_documents() {
     assert_eq!(file["layers"].as_array().unwrap().len(), 16);
     assert_eq!(file["layout"]["name"], "cycles");
     assert_eq!(file["verdict"]["state"], "noise_unknown");
-    assert_eq!(file["verdict"]["copied"]["lights"], 3);
+    assert_eq!(file["verdict"]["copied"]["lights"], 0);
+    assert_eq!(file["along"]["lights"].as_array().unwrap().len(), 3);
     assert!(file["verdict"]["better"]["command"].as_str().unwrap().contains("OTHER_SEED.exr"));
     assert!(file["frame"]["check"]["contradiction"].is_null());
 }

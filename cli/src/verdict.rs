@@ -62,7 +62,7 @@ struct Copied {
 impl Copied {
     fn of(input: &Input) -> Self {
         let mut copied = Self::default();
-        for layer in input.layers.iter().filter(|layer| layer.file == input.file && !layer.is_along) {
+        for layer in input.layers.iter().filter(|layer| layer.file == input.file && layer.picture.is_none()) {
             let count = match layer.role {
                 Role::Light => &mut copied.lights,
                 Role::Id => &mut copied.ids,

@@ -136,6 +136,11 @@ impl Picture {
         self.payload.iter().map(|source| &source.signal)
     }
 
+    /// Whether a layer tells the noise of one that is filtered along with the colour.
+    pub(crate) fn is_stale(&self, id: LayerId) -> bool {
+        id.file == 0 && self.payload.iter().any(|source| source.stale.contains(&id.layer))
+    }
+
     /// Whether a layer is filtered along with the colour.
     pub(crate) fn is_payload(&self, id: LayerId) -> bool {
         self.payload_signals().any(|signal| signal.mean.id() == id)

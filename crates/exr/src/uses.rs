@@ -109,6 +109,10 @@ pub(crate) fn layer_uses(set: &BufferSet, classified: &[Classified], rules: &[Ru
                     (found.picture, found.is_along) = (Some(picture), true);
                     found.role = if found.role == Role::Alpha { Role::Alpha } else { Role::Light };
                 }
+                if let Some(picture) = set.pictures.iter().position(|picture| picture.is_stale(id)) {
+                    found.picture = Some(picture);
+                    found.note = Some("left out of an output: the noise of a layer that is denoised along".into());
+                }
                 // The reason why a layer is not used is none where a request wants it.
                 let why = rule.filter(|_| !found.is_along).and_then(|rule| rule.why.clone());
                 found.note = found.note.or(why);
