@@ -457,3 +457,15 @@ fn references_have_the_layers_that_are_denoised_along() {
         references.payload.iter().map(|(name, image)| (name.as_str(), image.planes[0][0])).collect();
     assert_eq!(found, [("diffuse", 1.0), ("A", 0.5)]);
 }
+
+#[test]
+fn colours_of_materials_are_no_light() {
+    let folder = folder();
+    let names = ["diffuse_albedo", "diffuse_color", "specular_color", "volume_opacity", "transmission_albedo"];
+    let part = names.into_iter().fold(Part::new().with("", "RGB", 1.0), |part, name| part.with(name, "RGB", 2.0));
+    let part = part.with("volume_z", "Z", 3.0).with("specular_direct", "RGB", 4.0);
+    let set = read(&write(folder.path(), "in.exr", vec![part]));
+    assert_eq!(set.payload(0).map(|(name, _)| name).collect::<Vec<_>>(), ["specular_direct"]);
+    assert_eq!(set.feature_names().collect::<Vec<_>>(), ["albedo"]);
+    assert!(note(&set, "volume_z").contains("not light"), "{}", note(&set, "volume_z"));
+}
