@@ -84,6 +84,19 @@ fn what_looks_like_a_variance_and_is_none_is_named() {
 }
 
 #[test]
+fn options_say_what_is_denoised_along() {
+    let file = "renderman/ci.0001.exr";
+    info(&[file, "--aovs", "none"]).succeeded().said(&["along     alpha\n", "copied    4 lights", " --aovs none\n"]);
+    info(&[file, "--aovs", "diffuse", "--no-alpha", "--alpha", "straight"])
+        .succeeded()
+        .said(&["along     1 light layer\n", "--aovs diffuse --alpha straight --no-alpha\n"]);
+    info(&[file, "--aovs", "difuse"]).failed(3, &[file, "'difuse'", "diffuse", "remedy: ", "--aovs"]);
+    info(&[file, "--aovs", "id"]).failed(3, &[file, "remedy: ", "--aovs"]);
+    info(&[file, "--alpha", "none"]).failed(2, &["straight", "premultiplied"]);
+    info(&[file, "-v"]).succeeded().said(&["light, denoised along", "the noise of a layer that is denoised along"]);
+}
+
+#[test]
 fn seeds_are_named_and_belong_to_the_command() {
     info(&["altus/room.b0.0001.exr"]).succeeded().said(&["seeds     merged with room.b1.0001.exr"]);
     let folder = Folder::new();
