@@ -456,6 +456,11 @@ fn references_have_the_layers_that_are_denoised_along() {
     let found: Vec<(&str, f32)> =
         references.payload.iter().map(|(name, image)| (name.as_str(), image.planes[0][0])).collect();
     assert_eq!(found, [("diffuse", 1.0), ("A", 0.5)]);
+    assert_eq!(references.alpha, Some(1));
+    // The colour of a reference may have another name.
+    let other = LayerRef::whole(write(folder.path(), "other.exr", vec![Part::new().with("beauty", "RGBA", 0.25)]));
+    let references = set.read_references(0, &other).unwrap();
+    assert_eq!((references.payload.len(), references.alpha), (1, Some(0)));
 }
 
 #[test]

@@ -253,7 +253,7 @@ impl BufferSet {
     /// As [`read_reference`]; [`Error::Layer`] for a reference that lacks some of the pixels.
     pub fn read_reference(&self, picture: usize, reference: &LayerRef) -> Result<Image> {
         let file = ExrFile::read(&reference.file, self.png_encoding)?;
-        self.color_of_reference(picture, reference, &file)
+        self.color_of_reference(picture, reference, &file).map(|(color, _)| color)
     }
 
     /// Reads a reference as [`BufferSet::read_reference`] does, and its layers and alphas with the names of those that
@@ -263,10 +263,16 @@ impl BufferSet {
     /// As [`BufferSet::read_reference`].
     pub fn read_references(&self, picture: usize, reference: &LayerRef) -> Result<References> {
         let file = ExrFile::read(&reference.file, self.png_encoding)?;
-        let color = self.color_of_reference(picture, reference, &file)?;
+        let (color, color_layer) = self.color_of_reference(picture, reference, &file)?;
         let window = self.data_window_of(picture);
         let aligned = |planes: &Planes| {
-            let (part, channels) = source::same_layer(&self.files[0], &file, planes)?;
+            let (part, channels) = match file.layers[color_layer].channel("A") {
+                // The colour of the reference may have another name.
+                Some(alpha) if planes.layer == self.pictures[picture].color.mean.layer => {
+                    (file.layers[color_layer].part, vec![alpha])
+                }
+                _ => source::same_layer(&self.files[0], &file, planes)?,
+            };
             let own = source::window_of(&file, part, window);
             let covers = source::covers(own, self.window(planes, window)) || source::covers(own, window);
             covers.then(|| source::aligned(file.planes(part, &channels), own, window, 0.0))
@@ -287,7 +293,8 @@ impl BufferSet {
         Ok(References { color, payload, alpha })
     }
 
-    fn color_of_reference(&self, picture: usize, reference: &LayerRef, file: &ExrFile) -> Result<Image> {
+    /// Returns the colour of a reference and its layer.
+    fn color_of_reference(&self, picture: usize, reference: &LayerRef, file: &ExrFile) -> Result<(Image, usize)> {
         let window = self.data_window_of(picture);
         let like = &self.files[0].layers[self.pictures[picture].color.mean.layer];
         let layer = assign::same_or_color(file, like, self.pictures.len() == 1, reference.layer.as_deref())?;
@@ -309,7 +316,7 @@ impl BufferSet {
             if let Some((part, alpha)) = alpha.filter(|_| self.pictures[picture].is_straight && has_straight(file)) {
                 alpha::multiply(&mut image, &file.plane(part, alpha));
             }
-            return Ok(source::aligned(image, own, window, 0.0));
+            return Ok((source::aligned(image, own, window, 0.0), layer));
         }
         let (found, expected) = (own.to_string(), window.to_string());
         refuse(LayerCause::DataWindow { found, expected, color_file: self.input().to_owned() })
@@ -341,13 +348,14 @@ impl BufferSet {
     /// # Errors
     /// [`Error::File`] if there is not enough memory.
     fn take_signal(&mut self, picture: usize, taken: Taken) -> Result<RawSignal> {
-        let Picture { color, payload, samples, .. } = self.pictures[picture].clone();
+        let own = &self.pictures[picture];
         let signal = match taken {
-            Taken::Color => &color,
-            Taken::Payload(index) => &payload[index].signal,
+            Taken::Color => &own.color,
+            Taken::Payload(index) => &own.payload[index].signal,
         };
+        let (signal, samples) = (signal.clone(), own.samples.clone());
         let window = self.data_window_of(picture);
-        source::settled_from(signal, &samples, &mut |planes: &Planes, outside| {
+        source::settled_from(&signal, &samples, &mut |planes: &Planes, outside| {
             let part = self.part(planes);
             let needed_again = match taken {
                 Taken::Color => self.channels_needed_again(picture, planes),
