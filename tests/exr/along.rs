@@ -474,3 +474,28 @@ fn colours_of_materials_are_no_light() {
     assert_eq!(set.feature_names().collect::<Vec<_>>(), ["albedo"]);
     assert!(note(&set, "volume_z").contains("not light"), "{}", note(&set, "volume_z"));
 }
+
+#[test]
+fn straight_halves_have_alphas_of_their_own() {
+    let folder = folder();
+    let layer = |part: Part, name: &str, colour: f32, alpha: f32| {
+        let part = ["R", "G", "B"]
+            .into_iter()
+            .fold(part, |part, channel| part.and(&format!("{name}{channel}"), plane(|pixel| colour + pixel as f32)));
+        part.and(&format!("{name}A"), plane(move |_| alpha))
+    };
+    let part = layer(layer(layer(Part::new(), "", 2.0, 0.5), "halfA.", 1.0, 0.25), "halfB.", 4.0, 0.75);
+    let input = write(folder.path(), "in.exr", vec![part]);
+    let straight = BufferSetRequest { alpha: Some(AlphaEncoding::Straight), ..request(&input) };
+    let color = BufferSet::read(&straight).unwrap().color();
+    let first = |image: &Planes| image.planes[0][0];
+    assert_eq!([&color.mean, &color.half_a.unwrap(), &color.half_b.unwrap()].map(first), [1.0, 0.25, 3.0]);
+
+    let at = |path: &Path, channel: &str| stored(path, channel).values_as_f32().next().unwrap();
+    let kept = BufferSetRequest { no_alpha: true, ..straight.clone() };
+    let (output, _) = denoised(&kept, |_, value| value);
+    // The frame has the half spread (0.25 - 3)/2 around the mean 1.
+    assert_eq!([at(&output, "halfA.R"), at(&output, "halfA.A")], [(1.0 - 1.375) / 0.25, 0.25]);
+    let (output, _) = denoised(&straight, |_, _| 0.5);
+    assert_eq!([at(&output, "halfA.R"), at(&output, "halfA.A")], [(1.0 - 1.375) / 0.5, 0.5]);
+}

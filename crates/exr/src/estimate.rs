@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::alpha::{divided, without_fringe};
 use crate::picture_file::{self, Format};
-use crate::source::{self, PayloadSource, Planes};
+use crate::source::{self, Alphas, PayloadSource, Planes};
 use crate::write::{ReplacedChannels, write_pictures};
 use crate::{BufferSet, DenoisedLayers, LayerUse, NamedLayer, Role};
 use stein::error::{FileCause, RequestCause};
@@ -388,7 +388,11 @@ impl<'a> OfPicture<'a> {
             match &estimate.half_spread {
                 Some(half_spread) if plain == 3 || plain == 1 => {
                     let image = Cow::Owned(half(&estimate.color, half_spread, sign));
-                    replacements.push((layer.layer.clone(), form.colour(image, own.alpha.as_ref()).into_owned()));
+                    // A half whose alpha stays as it was is divided by it.
+                    let alphas = own.color.alphas.as_ref().filter(|_| alpha_of_color.is_none());
+                    let of_half = |it: &Alphas| if sign > 0.0 { it.half_a.clone() } else { it.half_b.clone() };
+                    let alpha = alphas.and_then(of_half).or_else(|| own.alpha.clone());
+                    replacements.push((layer.layer.clone(), form.colour(image, alpha.as_ref()).into_owned()));
                     others.extend(alpha_of_color.as_ref().and_then(|alpha| form.alpha_of_half(&layer.layer, alpha)));
                 }
                 _ => notes.push(format!(
