@@ -78,8 +78,22 @@ fn what_looks_like_a_variance_and_is_none_is_named() {
     info(&["vray/maya.exr"]).succeeded().said(&[
         "its noise is not known",
         "not used  noiseLevel: a renderer's noise heuristic, not a variance",
-        "copied    2 lights, 2 ids, 1 denoised by the renderer, 4 others (-v lists them)",
+        "along     2 light layers, alpha",
+        "copied    2 ids, 1 denoised by the renderer, 4 others (-v lists them)",
     ]);
+}
+
+#[test]
+fn options_say_what_is_denoised_along() {
+    let file = "renderman/ci.0001.exr";
+    info(&[file, "--aovs", "none"]).succeeded().said(&["along     alpha\n", "copied    4 lights", " --aovs none\n"]);
+    info(&[file, "--aovs", "diffuse", "--no-alpha", "--alpha", "straight"])
+        .succeeded()
+        .said(&["along     1 light layer\n", "--aovs diffuse --alpha straight --no-alpha\n"]);
+    info(&[file, "--aovs", "difuse"]).failed(3, &[file, "'difuse'", "diffuse", "remedy: ", "--aovs"]);
+    info(&[file, "--aovs", "id"]).failed(3, &[file, "remedy: ", "--aovs"]);
+    info(&[file, "--alpha", "none"]).failed(2, &["straight", "premultiplied"]);
+    info(&[file, "-v"]).succeeded().said(&["light, denoised along", "the noise of a layer that is denoised along"]);
 }
 
 #[test]
@@ -119,7 +133,8 @@ fn every_layer_is_listed_on_request_and_in_documents() {
     assert_eq!(file["layers"].as_array().unwrap().len(), 16);
     assert_eq!(file["layout"]["name"], "cycles");
     assert_eq!(file["verdict"]["state"], "noise_unknown");
-    assert_eq!(file["verdict"]["copied"]["lights"], 3);
+    assert_eq!(file["verdict"]["copied"]["lights"], 0);
+    assert_eq!(file["along"]["lights"].as_array().unwrap().len(), 3);
     assert!(file["verdict"]["better"]["command"].as_str().unwrap().contains("OTHER_SEED.exr"));
     assert!(file["frame"]["check"]["contradiction"].is_null());
 }

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use process::{Folder, Outcome, channels, stein, test_image, write_without};
 use serde_json::{Value, json};
-use stein::Image;
+use stein::{Extent, Image};
 use stein_exr::{BufferSet, BufferSetRequest, NamedLayer, read_reference, write_layers};
 use stein_metric as metric;
 
@@ -456,4 +456,47 @@ fn a_render_farm_is_told_how_far_the_work_is() {
     ]);
     failed.failed(3, &["frame 4: "]);
     denoise(&folder, "clean", &["--progress=openjd", "--json"]).failed(2, &["--json"]);
+}
+
+#[test]
+fn alpha_and_lights_of_a_shot_are_compared_with_those_of_the_references() {
+    let folder = Folder::new();
+    let extent = Extent { width: 24, height: 16 };
+    let write = |name: &str, frame: u32, noise: f32| {
+        let values = |base: f32| {
+            let value = move |pixel: u32| base + noise * ((pixel * (frame + 3) * 7919 % 101) as f32 / 50.0 - 1.0);
+            (0..extent.pixels() as u32).map(value).collect::<Vec<f32>>()
+        };
+        let layer = |name: &str, channels: &[&str]| NamedLayer {
+            name: name.into(),
+            channels: channels.iter().map(|&channel| channel.to_owned()).collect(),
+            image: Image { extent, planes: channels.iter().map(|_| values(0.5)).collect() },
+        };
+        let layers = [layer("", &["R", "G", "B", "A"]), layer("diffuse", &["R", "G", "B"])];
+        write_layers(Path::new(&path(&folder, name, frame)), &layers, &[]).unwrap();
+    };
+    for frame in 0..2 {
+        write("shot", frame, 0.2);
+        write("reference", frame, 0.0);
+    }
+    let reference = folder.path("reference.####.exr");
+    let document = denoise(&folder, "clean", &["--ref", &reference, "--json"]).succeeded().json();
+    let alpha = &document["errors"]["alpha"];
+    assert_eq!((&alpha["frames"], &alpha["pairs"]), (&json!(2), &json!(1)));
+    for image in [0, 1] {
+        assert!(alpha["images"][image]["flicker"].as_f64().unwrap() > 0.0, "{alpha}");
+    }
+    let along = document["frames"][0]["report"]["errors_along"].as_array().unwrap();
+    let names: Vec<_> = along.iter().map(|layer| (layer["layer"].clone(), layer["is_alpha"].clone())).collect();
+    assert_eq!(names, [(json!("diffuse"), json!(false)), (json!("A"), json!(true))]);
+    assert!(along[0]["noisy"]["relative_mse"].as_f64().unwrap() > 0.0, "{}", along[0]);
+
+    denoise(&folder, "text", &["--ref", &reference]).succeeded().said(&["alpha, noisy ", "alpha, result "]);
+    let single = [path(&folder, "shot", 0), folder.path("single.exr"), path(&folder, "reference", 0)];
+    stein(&["denoise", &single[0], "-o", &single[1], RADIUS, "--ref", &single[2]]).succeeded().said(&[
+        "along: 1 light layer, alpha",
+        "\n  diffuse: relative MSE ",
+        "\n  A: MSE ",
+        " -> ",
+    ]);
 }

@@ -403,8 +403,8 @@ impl ShotRun<'_> {
         let mut pictures = Vec::new();
         for picture in 0..count {
             let neighbours = neighbours(window, planned.centre, picture);
-            let (reference, data_window) = match &mut window[planned.centre] {
-                Ok(own) => (own.pictures[picture].reference.take(), own.pictures[picture].data_window),
+            let (references, data_window) = match &mut window[planned.centre] {
+                Ok(own) => (own.pictures[picture].references.take(), own.pictures[picture].data_window),
                 Err(unusable) => return Err(unusable.failure.clone()),
             };
             match &mut beside {
@@ -418,7 +418,7 @@ impl ShotRun<'_> {
             }
             let frames: Vec<&Frame> = neighbours.frames.iter().map(|frame| &**frame).collect();
             let mut needed = self.keep.clone();
-            if reference.is_some() {
+            if references.is_some() {
                 let has = self.method.intermediates();
                 needed.extend(quality::NEEDED.iter().filter(|one| has.contains(one) && !self.keep.contains(one)));
             }
@@ -433,6 +433,7 @@ impl ShotRun<'_> {
                     plan: explained,
                     run: None,
                     errors: None,
+                    errors_along: None,
                 });
                 continue;
             }
@@ -454,7 +455,7 @@ impl ShotRun<'_> {
             let run = Run::new(&estimate, start.elapsed().as_secs_f64());
             let plan = self.args.explain.then(|| Explained::new(&estimate.plan, estimate.step_times.as_deref()));
             let frame = Arc::clone(&neighbours.frames[neighbours.centre]);
-            pictures.push(DenoisedPicture { layer, frame, reference, data_window, estimate, run, plan });
+            pictures.push(DenoisedPicture { layer, frame, references, data_window, estimate, run, plan });
         }
         let beside = beside.unwrap_or_default();
         if self.args.dry_run {

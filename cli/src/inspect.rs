@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 use stein::error::{LayerCause, RequestCause};
-use stein::frame::{Contradiction, Feature, NoiseCheck, NoiseKnowledge, Repairs, SamplesPerPixel};
+use stein::frame::{Contradiction, Feature, NoiseCheck, NoiseKnowledge, PayloadKind, Repairs, SamplesPerPixel};
 use stein::image::Window;
 use stein::text::{self, number};
 use stein::{Error, Frame};
@@ -50,6 +50,8 @@ pub(crate) struct Picture {
     pub(crate) data_window: Rectangle,
     /// Samples per pixel; `None` if unknown.
     pub(crate) samples_per_pixel: Option<Samples>,
+    /// Layers that are denoised along with the colour.
+    pub(crate) along: Along,
     /// The frame made of the picture, or the problem.
     #[serde(flatten)]
     pub(crate) outcome: Outcome,
@@ -57,6 +59,36 @@ pub(crate) struct Picture {
 
 fn serialize_paths<S: serde::Serializer>(paths: &[PathBuf], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_seq(paths.iter().map(|path| text::path(path)))
+}
+
+/// Names of the layers that are denoised along with a colour.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct Along {
+    lights: Vec<String>,
+    alphas: Vec<String>,
+}
+
+impl Along {
+    fn new(set: &BufferSet, picture: usize) -> Self {
+        let names = |wanted: PayloadKind| {
+            let of_kind = set.payload(picture).filter(move |(_, kind)| *kind == wanted);
+            of_kind.map(|(name, _)| name.to_owned()).collect()
+        };
+        Self { lights: names(PayloadKind::Light), alphas: names(PayloadKind::Alpha) }
+    }
+
+    /// Formats the numbers of layers; `None` if there are none.
+    pub(crate) fn text(&self) -> Option<String> {
+        let counted = |count: usize, one: &str, several: &str| match count {
+            0 => None,
+            1 => Some(one.to_owned()),
+            _ => Some(format!("{count} {several}")),
+        };
+        let lights = counted(self.lights.len(), "1 light layer", "light layers");
+        let alphas = counted(self.alphas.len(), "alpha", "alphas");
+        let told: Vec<String> = [lights, alphas].into_iter().flatten().collect();
+        (!told.is_empty()).then(|| told.join(", "))
+    }
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -203,13 +235,15 @@ impl Picture {
             height: window.extent.height,
             data_window: window.into(),
             samples_per_pixel: samples,
+            along: Along::new(set, index),
             outcome,
         }
     }
 
-    /// Whether the picture of another frame has the same size, the same sources of noise and the same repairs.
+    /// Whether the picture of another frame has the same size, the same layers denoised along, the same sources of noise
+    /// and the same repairs.
     fn is_used_like(&self, other: &Self) -> bool {
-        if (self.width, self.height) != (other.width, other.height) {
+        if (self.width, self.height, &self.along) != (other.width, other.height, &other.along) {
             return false;
         }
         match (&self.outcome, &other.outcome) {
@@ -295,6 +329,7 @@ impl Input {
             lines.push(format!("  data window {}, display window {}", self.first.data_window, self.display_window));
         }
         lines.push(self.roles());
+        lines.extend(self.first.along.text().map(|along| format!("  along: {along}")));
         lines.extend(self.unused(all));
         if all {
             lines.push(format!("  not finite: {} values", self.non_finite_values));

@@ -70,10 +70,11 @@ impl Source {
     }
 
     /// Returns the source as the method reads it: without features if the method uses none, so that they are not listed
-    /// as used.
+    /// as used; with halves of the layers that are denoised along if the method uses them.
     pub(crate) fn for_method(&self, method: &Method) -> Self {
         let mut source = self.clone();
         source.others.no_features |= !method.uses_features();
+        source.others.payload_halves = matches!(method, Method::Nlm(_));
         source
     }
 }

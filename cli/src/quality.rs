@@ -1,8 +1,9 @@
 //! Errors of the denoised image, and of the images that it was made from, against a reference.
 
 use serde::Serialize;
+use stein::frame::PayloadKind;
 use stein::method::Intermediate;
-use stein::text::number;
+use stein::text::{self, number};
 use stein::{Estimate, Frame, Image};
 use stein_metric as metric;
 
@@ -59,6 +60,61 @@ pub(crate) fn compare(frame: &Frame, estimate: &Estimate, reference: &Image) -> 
     }
     errors.push(Errors::new("result", &estimate.color, reference, estimated)?);
     Ok(errors)
+}
+
+/// Errors of a layer that is denoised along with the colour.
+#[derive(Debug, Serialize)]
+pub(crate) struct LayerErrors {
+    layer: String,
+    is_alpha: bool,
+    noisy: Measures,
+    result: Measures,
+}
+
+#[derive(Debug, Serialize)]
+struct Measures {
+    relative_mse: f64,
+    mse: f64,
+}
+
+impl Measures {
+    fn new(image: &Image, reference: &Image) -> Result<Self, Failure> {
+        Ok(Self { relative_mse: metric::relative_mse(image, reference)?, mse: metric::mse(image, reference)? })
+    }
+}
+
+/// Compares the layers that were denoised along with those of the references that have their names.
+pub(crate) fn compare_along(
+    frame: &Frame,
+    estimate: &Estimate,
+    references: &[(String, Image)],
+) -> Result<Vec<LayerErrors>, Failure> {
+    let mut errors = Vec::new();
+    for (name, reference) in references {
+        let noisy = frame.payload().iter().find(|layer| layer.name == *name);
+        let result = estimate.payload.iter().find(|layer| layer.name == *name);
+        let Some((noisy, result)) = noisy.zip(result) else { continue };
+        errors.push(LayerErrors {
+            layer: name.clone(),
+            is_alpha: noisy.kind == PayloadKind::Alpha,
+            noisy: Measures::new(&noisy.mean, reference)?,
+            result: Measures::new(&result.image, reference)?,
+        });
+    }
+    Ok(errors)
+}
+
+/// Formats the errors of layers, one line each.
+pub(crate) fn text_along(errors: &[LayerErrors]) -> String {
+    let line = |errors: &LayerErrors| {
+        let LayerErrors { layer, is_alpha, noisy, result } = errors;
+        let (what, noisy, result) = match is_alpha {
+            true => ("MSE", noisy.mse, result.mse),
+            false => ("relative MSE", noisy.relative_mse, result.relative_mse),
+        };
+        format!("  {}: {what} {} -> {}", text::name(layer), number(noisy), number(result))
+    };
+    text::lines(errors.iter().map(line)).join("\n")
 }
 
 /// Formats the errors as a table.

@@ -11,7 +11,7 @@ use super::Failure;
 use super::explain::Explained;
 use super::inspect::Input;
 use super::out::{seconds, table};
-use super::quality::Errors;
+use super::quality::{Errors, LayerErrors};
 
 /// The JSON document of a single image.
 #[derive(Debug, Serialize)]
@@ -59,6 +59,8 @@ pub(crate) struct PictureReport {
     pub(crate) run: Option<Run>,
     /// Errors; `None` without a reference.
     pub(crate) errors: Option<Vec<Errors>>,
+    /// Errors of the layers that are denoised along and that the reference has; `None` without a reference.
+    pub(crate) errors_along: Option<Vec<LayerErrors>>,
 }
 
 /// Time, memory and other figures of the denoising.
@@ -119,6 +121,10 @@ impl FrameReport {
             lines.extend(written.notes.iter().map(|note| format!("  {note}")));
             let time = runs().map(|run| run.seconds).sum();
             lines.push(format!("{}: {} on {}{strips}", text::path(&written.file), seconds(time), device.name));
+            if !written.along.is_empty() {
+                let along = written.along.iter().map(|name| text::name(name));
+                lines.push(format!("  along: {}", text::list(along)));
+            }
         }
         for picture in self.pictures() {
             lines.extend(picture.lines(verbose));

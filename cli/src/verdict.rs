@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use stein::frame::{IMAGE_ONLY, NoiseKnowledge};
 use stein::text;
-use stein_exr::{BufferSetRequest, LayerRef, LayerUse, Quantity, RecognisedBy, Role};
+use stein_exr::{AlphaEncoding, Aovs, BufferSetRequest, LayerRef, LayerUse, Quantity, RecognisedBy, Role};
 
 use super::inspect::{Check, FeatureNoise, Input, Outcome, Picture};
 use super::output;
@@ -16,7 +16,8 @@ const LABEL: usize = 10;
 #[derive(Debug, Serialize)]
 pub(crate) struct Verdict {
     state: State,
-    /// Numbers of layers of the input that an output keeps as they are.
+    /// Numbers of layers of the input that an output keeps as they are. The alphas of layers with other channels do not
+    /// count.
     copied: Copied,
     /// Command that denoises the input; `N` and other names in capitals stand for what is missing. `None` if it
     /// cannot be denoised.
@@ -61,7 +62,7 @@ struct Copied {
 impl Copied {
     fn of(input: &Input) -> Self {
         let mut copied = Self::default();
-        for layer in input.layers.iter().filter(|layer| layer.file == input.file) {
+        for layer in input.layers.iter().filter(|layer| layer.file == input.file && layer.picture.is_none()) {
             let count = match layer.role {
                 Role::Light => &mut copied.lights,
                 Role::Id => &mut copied.ids,
@@ -239,6 +240,7 @@ fn rows(input: &Input, index: usize, picture: &Picture) -> Vec<Row> {
         return if features.is_empty() { Vec::new() } else { vec![("guides", features.join(", "))] };
     };
     let mut rows = vec![("guides", guides(feature_noise))];
+    rows.extend(picture.along.text().map(|along| ("along", along)));
     let mut noise = match noise_knowledge {
         NoiseKnowledge::ImageOnly => "estimated from the image itself: it has neither halves nor a variance".to_owned(),
         knowledge => format!("known from {knowledge}{}", converted(input, index)),
@@ -363,13 +365,25 @@ fn arguments(request: &BufferSetRequest) -> Vec<String> {
         layers.iter().for_each(|(feature, layer)| option(name, &format!("{}={layer}", text::name(feature))));
     }
     request.skip_features.iter().for_each(|feature| option("--skip-feature", &text::name(feature)));
+    if request.aovs != Aovs::default() {
+        option("--aovs", &text::name(&request.aovs.to_string()));
+    }
+    match request.alpha {
+        Some(AlphaEncoding::Straight) => option("--alpha", "straight"),
+        Some(AlphaEncoding::Premultiplied) => option("--alpha", "premultiplied"),
+        None => {}
+    }
     if let Some(samples) = request.samples {
         option("--samples", &samples.to_string());
     }
     if let Some(layout) = &request.layout {
         option("--layout", &text::name(layout));
     }
-    let flags = [("--no-features", request.no_features), ("--no-siblings", request.no_siblings)];
+    let flags = [
+        ("--no-features", request.no_features),
+        ("--no-alpha", request.no_alpha),
+        ("--no-siblings", request.no_siblings),
+    ];
     words.extend(flags.iter().filter(|(_, given)| *given).map(|(name, _)| (*name).to_owned()));
     words
 }

@@ -123,6 +123,14 @@ pub enum FileCause {
         /// Layers of the file, for messages.
         layers: String,
     },
+    /// A layer to filter along with the colour is not in the file.
+    #[error("there is no layer '{}' to denoise along with the colour; it holds {layers}", text::name(name))]
+    NoLayerAlong {
+        /// Name of the layer.
+        name: String,
+        /// Layers of the file, for messages.
+        layers: String,
+    },
     /// The file does not say how many samples its pixels have.
     #[error("does not say how many samples its pixels have, so that further samples cannot be added")]
     NoSampleCounts,
@@ -181,6 +189,7 @@ impl FileCause {
             Self::OtherFrame { .. } => vec![Remedy::RenderAlike],
             Self::NotASeed { .. } => vec![Remedy::GiveSeedsOfOneFrame],
             Self::NoFeatureToSkip { .. } => vec![Remedy::NameFeatureToSkip],
+            Self::NoLayerAlong { .. } => vec![Remedy::NameLayersAlong],
             Self::NoSampleCounts => vec![Remedy::WriteSampleCounts],
             Self::UnevenSamples { .. } => vec![Remedy::EvenCounts],
             Self::NoMap { .. } => vec![Remedy::GiveMap],
@@ -255,6 +264,12 @@ pub enum LayerCause {
         /// The missing half: `A` or `B`.
         missing: char,
     },
+    /// The layer cannot be filtered along with the colour.
+    #[error("it cannot be denoised along with the colour: {why}")]
+    NotAlong {
+        /// The reason.
+        why: &'static str,
+    },
     /// Sample counts are not whole and even.
     #[error("holds numbers that are not whole and even")]
     UnevenCounts,
@@ -285,6 +300,7 @@ impl LayerCause {
             Self::NeedsSamples { .. } => vec![Remedy::GiveSamples],
             Self::NotAVariance { .. } => vec![Remedy::GiveVariance],
             Self::SingleHalf { missing } => vec![Remedy::GiveOtherHalf { half: *missing }],
+            Self::NotAlong { .. } => vec![Remedy::NameLayersAlong],
             Self::UnevenCounts => vec![Remedy::EvenCounts],
             Self::PlanesDoNotFit { .. } => {
                 vec![Remedy::ChangeCall("give planes of the input's extent, one for each channel")]

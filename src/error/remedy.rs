@@ -148,6 +148,8 @@ pub enum Remedy {
     SkipFeature,
     /// Name a feature that the file has among those to skip.
     NameFeatureToSkip,
+    /// Name layers that can be filtered along with the colour, or none.
+    NameLayersAlong,
     /// Give each feature once.
     GiveFeatureOnce,
     /// Give the feature, too.
@@ -271,6 +273,7 @@ impl fmt::Display for Remedy {
             Self::MatchChannels => "write both with the same channels, or rename it if it is something else",
             Self::SkipFeature => "leave the feature out",
             Self::NameFeatureToSkip => "name one of these, or none",
+            Self::NameLayersAlong => "name other layers, or none",
             Self::GiveFeatureOnce => "give each feature once, or under different names",
             Self::GiveFeatureToo => "give the feature itself, too, or its name as it is listed",
             Self::GiveSamples => "say how many samples a pixel has",

@@ -1,6 +1,7 @@
 //! OpenEXR files as renderers, crops, broken disks and users leave them.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+mod along;
 mod broken;
 mod draft;
 mod layouts;

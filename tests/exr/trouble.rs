@@ -213,7 +213,8 @@ fn unreadable_kinds_of_exr_are_named_with_a_way_out() {
         let message = spoilt(&[(compression, number)]);
         assert!(message.contains(name) && message.contains("ZIP"), "{message}");
     }
-    assert!(spoilt(&[(5, whole[5] | 0x08)]).contains("deep data"));
+    let deep = spoilt(&[(5, whole[5] | 0x08)]);
+    assert!(deep.contains("deep data") && deep.contains("out of scope") && deep.contains("flatten it"), "{deep}");
     // The name of a channel is followed by its type, its linearity, and its sampling in x and y.
     let sampling = behind(b"\0R\0\x02\0\0\0") + 4;
     let message = spoilt(&[(sampling, 5), (sampling + 4, 3)]);

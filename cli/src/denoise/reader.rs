@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::Scope;
 
+use stein::Frame;
 use stein::image::Window;
-use stein::{Frame, Image};
-use stein_exr::BufferSet;
+use stein_exr::{BufferSet, References};
 
 use super::plan::Read;
 use crate::inspect::{Input, settle};
@@ -26,7 +26,7 @@ pub(super) struct ReadFrame {
 /// A picture of a frame.
 pub(super) struct ReadPicture {
     pub(super) frame: Arc<Frame>,
-    pub(super) reference: Option<Image>,
+    pub(super) references: Option<References>,
     pub(super) data_window: Window,
 }
 
@@ -95,11 +95,11 @@ fn load(read: &Read) -> Result<ReadFrame, Unusable> {
     };
     let mut pictures = Vec::with_capacity(frames.len());
     for (index, frame) in frames.into_iter().enumerate() {
-        let reference = read.reference.as_ref().map(|reference| set.read_reference(index, reference)).transpose();
-        match reference {
-            Ok(reference) => {
+        let references = read.reference.as_ref().map(|reference| set.read_references(index, reference)).transpose();
+        match references {
+            Ok(references) => {
                 let data_window = set.data_window_of(index);
-                pictures.push(ReadPicture { frame: Arc::new(frame), reference, data_window });
+                pictures.push(ReadPicture { frame: Arc::new(frame), references, data_window });
             }
             Err(error) => return Err(unusable(Some(described), error.into())),
         }

@@ -82,6 +82,10 @@ impl<'a> Results<'a> {
                 (false, None) => format!("\n{}", quality::text(errors)),
                 (false, Some(name)) => format!("\n  {name}:\n{}", quality::text(errors)),
             };
+            let along = picture.errors_along.as_deref().filter(|along| !along.is_empty());
+            if let Some(along) = along.filter(|_| !self.is_shot || self.verbose) {
+                text += &format!("\n{}", quality::text_along(along));
+            }
         }
         self.progress.say(out, text);
         self.progress.written(out);

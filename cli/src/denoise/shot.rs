@@ -189,6 +189,15 @@ impl ShotFrame {
 /// Errors over all frames that were denoised and have a reference.
 #[derive(Debug, Serialize)]
 pub(super) struct ShotErrors {
+    #[serde(flatten)]
+    color: ErrorMeans,
+    /// Errors of alpha; `None` without an alpha in frames and references.
+    alpha: Option<ErrorMeans>,
+}
+
+/// Errors of one kind of image over the frames of a shot.
+#[derive(Debug, Serialize)]
+struct ErrorMeans {
     frames: usize,
     /// Number of pairs of frames with consecutive numbers. The flicker is the mean over these pairs.
     pairs: usize,
@@ -208,53 +217,78 @@ const IMAGES: [&str; 2] = ["noisy", "result"];
 /// Gathers the errors of a shot, frame by frame.
 #[derive(Default)]
 pub(super) struct ShotErrorSums {
+    color: ErrorSums,
+    alpha: ErrorSums,
+}
+
+/// Sums of errors of one kind of image.
+#[derive(Default)]
+struct ErrorSums {
     frames: usize,
     pairs: usize,
     relative_mses: [f64; 2],
     flickers: [f64; 2],
     /// The frame before, for each picture.
-    previous: BTreeMap<usize, Compared>,
+    previous: BTreeMap<usize, (Place, Compared)>,
 }
 
-/// A frame with its reference.
-pub(super) struct Compared {
+/// The place of a picture in a shot.
+#[derive(Clone, Copy)]
+pub(super) struct Place {
     pub(super) number: u32,
     /// Index of the picture in its frame.
     pub(super) picture: usize,
     pub(super) data_window: Window,
+}
+
+/// Images with their reference.
+pub(super) struct Compared {
     /// The noisy image and the result.
     pub(super) images: [Image; 2],
     pub(super) reference: Image,
 }
 
 impl ShotErrorSums {
-    pub(super) fn add(&mut self, compared: Compared, errors: &[Errors]) -> Result<(), Failure> {
+    /// Adds the colour of a frame, and its alpha if there is one.
+    pub(super) fn add(&mut self, place: Place, color: Compared, alpha: Option<Compared>) -> Result<(), Failure> {
+        self.color.add(place, color)?;
+        alpha.map_or(Ok(()), |alpha| self.alpha.add(place, alpha))
+    }
+
+    pub(super) fn finish(self) -> Option<ShotErrors> {
+        Some(ShotErrors { color: self.color.finish()?, alpha: self.alpha.finish() })
+    }
+}
+
+impl ErrorSums {
+    fn add(&mut self, place: Place, compared: Compared) -> Result<(), Failure> {
         self.frames += 1;
-        for (sum, name) in self.relative_mses.iter_mut().zip(IMAGES) {
-            *sum += errors.iter().filter(|errors| errors.image == name).map(|errors| errors.relative_mse).sum::<f64>();
+        for (sum, image) in self.relative_mses.iter_mut().zip(&compared.images) {
+            *sum += metric::relative_mse(image, &compared.reference)?;
         }
         // Frames that show different pixels cannot be subtracted.
-        let is_pair = |previous: &&Compared| {
-            previous.number + 1 == compared.number && previous.data_window == compared.data_window
+        let is_pair = |(previous, _): &&(Place, Compared)| {
+            previous.number + 1 == place.number && previous.data_window == place.data_window
         };
-        if let Some(previous) = self.previous.get(&compared.picture).filter(is_pair) {
+        if let Some((_, previous)) = self.previous.get(&place.picture).filter(is_pair) {
             self.pairs += 1;
             for (sum, (before, image)) in self.flickers.iter_mut().zip(previous.images.iter().zip(&compared.images)) {
                 *sum += metric::flicker([before, image], [&previous.reference, &compared.reference])?;
             }
         }
-        self.previous.insert(compared.picture, compared);
+        self.previous.insert(place.picture, (place, compared));
         Ok(())
     }
 
-    pub(super) fn finish(self) -> Option<ShotErrors> {
+    /// Returns the means; `None` without frames.
+    fn finish(self) -> Option<ErrorMeans> {
         let Self { frames, pairs, relative_mses, flickers, .. } = self;
         let means = |index: usize| Means {
             image: IMAGES[index],
             mean_relative_mse: relative_mses[index] / frames as f64,
             flicker: (pairs > 0).then(|| flickers[index] / pairs as f64),
         };
-        (frames > 0).then(|| ShotErrors { frames, pairs, images: [means(0), means(1)] })
+        (frames > 0).then(|| ErrorMeans { frames, pairs, images: [means(0), means(1)] })
     }
 }
 
@@ -262,18 +296,20 @@ impl ShotErrors {
     pub(super) fn text(&self) -> String {
         let frames = |count: usize, what: &str| format!("{count} {what}{}", if count == 1 { "" } else { "s" });
         let head = vec![
-            frames(self.frames, "frame"),
+            frames(self.color.frames, "frame"),
             "mean relative MSE".into(),
-            format!("flicker ({})", frames(self.pairs, "pair")),
+            format!("flicker ({})", frames(self.color.pairs, "pair")),
         ];
-        let row = |means: &Means| {
+        let row = |of: &str, means: &Means| {
             vec![
-                means.image.to_owned(),
+                format!("{of}{}", means.image),
                 number(means.mean_relative_mse),
                 means.flicker.map_or_else(|| "-".to_owned(), number),
             ]
         };
-        let rows: Vec<_> = std::iter::once(head).chain(self.images.iter().map(row)).collect();
+        let color = self.color.images.iter().map(|means| row("", means));
+        let alpha = self.alpha.iter().flat_map(|alpha| &alpha.images).map(|means| row("alpha, ", means));
+        let rows: Vec<_> = std::iter::once(head).chain(color).chain(alpha).collect();
         format!(
             "{}\n  (flicker: mean over consecutive frames of (error − error of the frame before)²/(mean reference² of \
              both + {}))",

@@ -4,14 +4,13 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 use std::thread::{Scope, ScopedJoinHandle};
-use stein_exr::write_estimates;
 
 use stein::image::Window;
 use stein::method::Intermediate;
-use stein::{Estimate, Frame, Image, Method, text};
-use stein_exr::BufferSet;
+use stein::{Estimate, Frame, Method, text};
+use stein_exr::{BufferSet, References, write_estimates};
 
-use super::shot::{Beside, Compared, Reported, ShotErrorSums};
+use super::shot::{Beside, Compared, Place, Reported, ShotErrorSums};
 use crate::explain::Explained;
 use crate::inspect::Input;
 use crate::report::{FrameReport, PictureReport, Run};
@@ -34,7 +33,7 @@ pub(super) struct DenoisedPicture {
     /// Layer of the colour, if the frame has several pictures.
     pub(super) layer: Option<String>,
     pub(super) frame: Arc<Frame>,
-    pub(super) reference: Option<Image>,
+    pub(super) references: Option<References>,
     pub(super) data_window: Window,
     pub(super) estimate: Estimate,
     pub(super) run: Run,
@@ -109,6 +108,14 @@ impl<'scope> Writer<'scope> {
     }
 }
 
+/// Returns the noisy and the denoised alpha of the colour with its reference; `None` if one of them is missing.
+fn alpha(frame: &Frame, estimate: &Estimate, references: &References) -> Option<Compared> {
+    let (name, reference) = &references.payload[references.alpha?];
+    let noisy = frame.payload().iter().find(|layer| layer.name == *name)?;
+    let result = estimate.payload.iter().find(|layer| layer.name == *name)?;
+    Some(Compared { images: [noisy.mean.clone(), result.image.clone()], reference: reference.clone() })
+}
+
 impl Contents<'_> {
     /// Writes a frame and compares it with its reference.
     fn finish(self, denoised: Denoised, comparison: &mut ShotErrorSums) -> Result<Done, Failure> {
@@ -117,12 +124,12 @@ impl Contents<'_> {
         let mut estimates = Vec::new();
         let mut rest = Vec::new();
         for picture in pictures {
-            let DenoisedPicture { layer, frame, reference, data_window, mut estimate, run, plan } = picture;
+            let DenoisedPicture { layer, frame, references, data_window, mut estimate, run, plan } = picture;
             notes.extend(self.notes(&frame, &estimate));
             estimate.selection = None;
             estimates.push(estimate);
             // Frees the frame unless a comparison needs it: writing needs memory.
-            let compared = reference.map(|reference| (reference, frame));
+            let compared = references.map(|references| (references, frame));
             rest.push((layer, compared, data_window, run, plan));
         }
         let mut written =
@@ -134,16 +141,20 @@ impl Contents<'_> {
             estimates.into_iter().zip(rest).enumerate()
         {
             let strips = estimate.strips;
-            let mut errors = None;
-            if let Some((reference, frame)) = compared {
-                let found = quality::compare(&frame, &estimate, &reference)?;
+            let (mut errors, mut errors_along) = (None, None);
+            if let Some((references, frame)) = compared {
+                let found = quality::compare(&frame, &estimate, &references.color)?;
+                let along = quality::compare_along(&frame, &estimate, &references.payload)?;
                 if let Some(number) = number {
-                    let images = [frame.color().mean.clone(), estimate.color];
-                    comparison.add(Compared { number, picture, data_window, images, reference }, &found)?;
+                    let images = [frame.color().mean.clone(), estimate.color.clone()];
+                    let place = Place { number, picture, data_window };
+                    let alpha = alpha(&frame, &estimate, &references);
+                    comparison.add(place, Compared { images, reference: references.color }, alpha)?;
                 }
                 errors = Some(found);
+                errors_along = Some(along);
             }
-            reports.push(PictureReport { layer, strips, plan, run: Some(run), errors });
+            reports.push(PictureReport { layer, strips, plan, run: Some(run), errors, errors_along });
         }
         let report = FrameReport::new(*described, reports, Some(written));
         Ok(Done { introduction, reported: Reported { number, beside, report } })

@@ -4,6 +4,7 @@ mod beside;
 mod colors;
 mod features;
 mod noise;
+mod payload;
 
 use std::path::{Path, PathBuf};
 
@@ -53,9 +54,11 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
         let has_seeds = !request.seeds.is_empty() || !seeds.is_empty();
         files.add_noise(&mut picture, color.is_main, has_seeds, request, &mut left_out)?;
         files.add_features(&mut picture, request, &mut left_out)?;
+        files.add_payload(&mut picture, &recognised.layout, request, &mut left_out);
         pictures.push(picture);
     }
     files.check_skipped(request)?;
+    files.check_named_along(request)?;
 
     // Layers of files beside the input are nowhere else named.
     let beside = left_out.iter().filter(|it| it.id.file > 0);
@@ -237,8 +240,20 @@ impl Files {
         };
         let mean = Planes { file: 0, layer: color.layer, channels: color.channels.clone() };
         let unit = self.rule(id).and_then(|rule| rule.unit);
-        let source = SignalSource { mean, half_a: None, half_b: None, variance: None, miss: None, outside: 0.0, unit };
-        Picture { scope, is_only: count == 1, color: source, features: Vec::new(), samples, samples_layer }
+        let source = SignalSource { unit, ..SignalSource::new(mean) };
+        Picture {
+            scope,
+            is_only: count == 1,
+            color: source,
+            features: Vec::new(),
+            samples,
+            samples_layer,
+            payload: Vec::new(),
+            alpha: None,
+            is_straight: false,
+            keeps_alpha: false,
+            empty: None,
+        }
     }
 
     fn window(&self, planes: &Planes) -> Window {

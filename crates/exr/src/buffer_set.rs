@@ -3,18 +3,20 @@
 use std::path::{Path, PathBuf};
 
 use stein::error::{FileCause, LayerCause};
-use stein::frame::{RawSignal, Repairs, SamplesPerPixel};
+use stein::frame::{PayloadKind, PayloadLayer, RawSignal, Repairs, SamplesPerPixel, half_spread};
 use stein::host_memory::{FreeMemory, Shortage};
 use stein::image::Window;
 use stein::{Error, Extent, Frame, Image, Result};
 
+use crate::alpha;
 use crate::assign;
+use crate::classify::LayerId;
 use crate::file::ExrFile;
 use crate::layer_ref::{LayerRef, LayerUse};
 use crate::layout::LayoutUse;
-use crate::picture_file::PngEncoding;
+use crate::picture_file::{Format, PngEncoding};
 use crate::request::BufferSetRequest;
-use crate::source::{self, Picture, Planes, SignalSource, VarianceSource};
+use crate::source::{self, PayloadSource, Picture, Planes, SignalSource, VarianceSource};
 use crate::write::Windows;
 
 /// Bytes per pixel for making a signal of a frame, besides its planes: marks of pixels to repair, of misses, and of
@@ -125,7 +127,15 @@ impl BufferSet {
         Windows { data: self.data_window(), display: self.display_window() }
     }
 
-    /// Returns the noisy colour: always three planes, equal ones for a luminance-only image.
+    /// Returns the layers that are denoised along with the colour of a picture: names and quantities, lights before
+    /// the alphas that belong to them. The alpha of a layer with other channels is called like its channel, such as
+    /// `A` or `beauty.A`.
+    pub fn payload(&self, picture: usize) -> impl Iterator<Item = (&str, PayloadKind)> {
+        self.pictures[picture].payload.iter().map(|source| (source.name.as_str(), source.kind))
+    }
+
+    /// Returns the noisy colour: always three planes, equal ones for a luminance-only image. It is multiplied by its
+    /// alpha, also if the file holds straight colours.
     pub fn color(&self) -> RawSignal {
         self.raw(0, &self.pictures[0].color)
     }
@@ -170,13 +180,6 @@ impl BufferSet {
         &self.layer_uses
     }
 
-    /// Returns the alpha of the first picture, if its layer has one.
-    pub(crate) fn alpha(&self) -> Option<Image> {
-        let layer = &self.files[0].layers[self.pictures[0].color.mean.layer];
-        let alpha = layer.channel("A").filter(|_| layer.channels.len() > 1)?;
-        Some(self.files[0].planes(layer.part, &[alpha]))
-    }
-
     /// Returns the uses of the layers in the input itself.
     pub(crate) fn uses_in_input(&self) -> &[LayerUse] {
         // They come first.
@@ -184,18 +187,22 @@ impl BufferSet {
     }
 
     /// Makes a frame of the first picture: settles the meaning of the layers. The halves are taken to have equal
-    /// numbers of samples, since no file says otherwise.
+    /// numbers of samples, since no file says otherwise. The frame gets the layers that are denoised along.
     ///
     /// # Errors
     /// As [`Frame::new`]; [`Error::File`] if there is not enough memory.
     pub fn to_frame(&self) -> Result<(Frame, Repairs)> {
         self.check_memory_for_frame(0, false)?;
-        self.settle(0, self.color())
+        let color = self.color();
+        let empty = self.empty_pixels(0, &color);
+        let settled = self.settle(0, color, empty.as_deref())?;
+        let layer = |source: &PayloadSource| payload_layer(source, self.raw(0, &source.signal));
+        with_payload(settled, self.pictures[0].payload.iter().map(layer).collect())
     }
 
     /// Makes a frame of the first picture as [`BufferSet::to_frame`] does, with less memory: the set frees the stored
-    /// samples of the colour and its noise, and of all files other than the input. The rest of the set serves
-    /// [`write_estimate`](crate::write_estimate).
+    /// samples of the colour and its noise, of the layers that are denoised along, and of all files other than the
+    /// input. The rest of the set serves [`write_estimate`](crate::write_estimate).
     ///
     /// # Errors
     /// As [`Frame::new`]; [`Error::File`] if there is not enough memory, or if the input is gone.
@@ -213,70 +220,155 @@ impl BufferSet {
         let mut frames = Vec::with_capacity(self.pictures.len());
         for picture in 0..self.pictures.len() {
             self.check_memory_for_frame(picture, true)?;
-            let color = self.take_color(picture)?;
-            frames.push(self.settle(picture, color)?);
+            let color = self.take_signal(picture, Taken::Color)?;
+            let empty = self.empty_pixels(picture, &color);
+            let settled = self.settle(picture, color, empty.as_deref())?;
+            self.pictures[picture].empty = empty;
+            let mut layers = Vec::new();
+            for index in 0..self.pictures[picture].payload.len() {
+                let raw = self.take_signal(picture, Taken::Payload(index))?;
+                layers.push(payload_layer(&self.pictures[picture].payload[index], raw));
+            }
+            frames.push(with_payload(settled, layers)?);
         }
         self.forget_other_files();
         for (picture, (frame, _)) in frames.iter().enumerate() {
             if frame.color().half_spread.is_none() {
                 self.restore_halves(picture)?;
             }
+            // A layer that the frame does not have stays as it was.
+            let is_left_out = |source: &&PayloadSource| !frame.payload().iter().any(|layer| layer.name == source.name);
+            let left_out = self.pictures[picture].payload.iter().filter(is_left_out);
+            let left_out: Vec<Planes> = left_out.map(|source| source.signal.mean.clone()).collect();
+            left_out.iter().try_for_each(|planes| self.restore(planes))?;
         }
         Ok(frames)
     }
 
     /// Reads the pixels of a reference that a picture shows. If no layer of the reference is named, a layer with the
-    /// name of the picture's colour is the reference, or else the file's colour.
+    /// name of the picture's colour is the reference, or else the file's colour. Straight colours are multiplied by
+    /// their alpha.
     ///
     /// # Errors
     /// As [`read_reference`]; [`Error::Layer`] for a reference that lacks some of the pixels.
     pub fn read_reference(&self, picture: usize, reference: &LayerRef) -> Result<Image> {
+        let file = ExrFile::read(&reference.file, self.png_encoding)?;
+        self.color_of_reference(picture, reference, &file).map(|(color, _)| color)
+    }
+
+    /// Reads a reference as [`BufferSet::read_reference`] does, and its layers and alphas with the names of those that
+    /// are denoised along, without the layers that lack some of the pixels.
+    ///
+    /// # Errors
+    /// As [`BufferSet::read_reference`].
+    pub fn read_references(&self, picture: usize, reference: &LayerRef) -> Result<References> {
+        let file = ExrFile::read(&reference.file, self.png_encoding)?;
+        let (color, color_layer) = self.color_of_reference(picture, reference, &file)?;
+        let window = self.data_window_of(picture);
+        let aligned = |planes: &Planes| {
+            let (part, channels) = match file.layers[color_layer].channel("A") {
+                // The colour of the reference may have another name.
+                Some(alpha) if planes.layer == self.pictures[picture].color.mean.layer => {
+                    (file.layers[color_layer].part, vec![alpha])
+                }
+                _ => source::same_layer(&self.files[0], &file, planes)?,
+            };
+            let own = source::window_of(&file, part, window);
+            let covers = source::covers(own, self.window(planes, window)) || source::covers(own, window);
+            covers.then(|| source::aligned(file.planes(part, &channels), own, window, 0.0))
+        };
+        let layer = |source: &PayloadSource| {
+            let mut image = aligned(&source.signal.mean)?;
+            let alpha = source.alpha.as_ref().filter(|_| self.pictures[picture].is_straight && has_straight(&file));
+            if let Some(alpha) = alpha.and_then(aligned) {
+                alpha::multiply(&mut image, &alpha.planes[0]);
+            }
+            Some((source.name.clone(), image))
+        };
+        let own = &self.pictures[picture];
+        let payload: Vec<(String, Image)> = own.payload.iter().filter_map(layer).collect();
+        let is_alpha = |source: &&PayloadSource| Some(&source.signal.mean) == own.alpha.as_ref();
+        let alpha = own.payload.iter().find(is_alpha);
+        let alpha = alpha.and_then(|source| payload.iter().position(|(name, _)| *name == source.name));
+        Ok(References { color, payload, alpha })
+    }
+
+    /// Returns the colour of a reference and its layer.
+    fn color_of_reference(&self, picture: usize, reference: &LayerRef, file: &ExrFile) -> Result<(Image, usize)> {
         let window = self.data_window_of(picture);
         let like = &self.files[0].layers[self.pictures[picture].color.mean.layer];
-        let file = ExrFile::read(&reference.file, self.png_encoding)?;
-        let layer = assign::same_or_color(&file, like, self.pictures.len() == 1, reference.layer.as_deref())?;
+        let layer = assign::same_or_color(file, like, self.pictures.len() == 1, reference.layer.as_deref())?;
         let part = file.layers[layer].part;
-        let own = source::window_of(&file, part, window);
+        let own = source::window_of(file, part, window);
         let refuse =
             |cause| Err(Error::Layer { path: reference.file.clone(), layer: file.layers[layer].title(), cause });
-        if let Some(cause) = source::other_resolution(&self.files[0], window, &file, part) {
+        if let Some(cause) = source::other_resolution(&self.files[0], window, file, part) {
             return refuse(cause);
         }
         if source::covers(own, window) {
-            let image = file.planes(part, &assign::color_channels(&file, layer)?);
-            return Ok(source::aligned(image, own, window, 0.0));
+            let mut image = file.planes(part, &assign::color_channels(file, layer)?);
+            let alpha = file.layers[layer].channel("A").map(|alpha| (part, alpha));
+            let alpha = alpha.or_else(|| {
+                let (part, channels) =
+                    source::same_layer(&self.files[0], file, self.pictures[picture].alpha.as_ref()?)?;
+                (file.data_window(part) == own).then_some((part, channels[0]))
+            });
+            if let Some((part, alpha)) = alpha.filter(|_| self.pictures[picture].is_straight && has_straight(file)) {
+                alpha::multiply(&mut image, &file.plane(part, alpha));
+            }
+            return Ok((source::aligned(image, own, window, 0.0), layer));
         }
         let (found, expected) = (own.to_string(), window.to_string());
         refuse(LayerCause::DataWindow { found, expected, color_file: self.input().to_owned() })
     }
 
-    fn settle(&self, picture: usize, color: RawSignal) -> Result<(Frame, Repairs)> {
-        let features = self.features_of(picture).map(|(name, raw)| (name.to_owned(), raw));
+    fn settle(&self, picture: usize, color: RawSignal, empty: Option<&[bool]>) -> Result<(Frame, Repairs)> {
+        let features = self.features_of(picture).map(|(name, mut raw)| {
+            if let Some(empty) = empty {
+                alpha::leave_without_hits(name, &mut raw, empty);
+            }
+            (name.to_owned(), raw)
+        });
         let samples = self.pictures[picture].samples.clone();
         let (frame, mut repairs) = Frame::from_raw(color, features, samples)?;
         repairs.notes.splice(0..0, self.notes.iter().cloned());
         Ok((frame, repairs))
     }
 
-    /// Returns the colour as [`BufferSet::color`] does. Frees the samples of the colour and its noise if nothing but
-    /// the colour is made of them: an output replaces them or leaves them out.
+    /// Returns the pixels of a picture without hits; `None` without an alpha, or if alpha is left alone.
+    pub(crate) fn empty_pixels(&self, picture: usize, color: &RawSignal) -> Option<Vec<bool>> {
+        let own = &self.pictures[picture];
+        let alpha = own.alpha.as_ref().filter(|_| !own.keeps_alpha)?;
+        Some(alpha::empty_pixels(color, &self.image(picture, alpha, 0.0).planes[0]))
+    }
+
+    /// Returns a signal as [`BufferSet::color`] does. Frees the samples if nothing but the signal is made of them: an
+    /// output replaces them or leaves them out.
     ///
     /// # Errors
     /// [`Error::File`] if there is not enough memory.
-    fn take_color(&mut self, picture: usize) -> Result<RawSignal> {
-        let Picture { color, samples, .. } = self.pictures[picture].clone();
+    fn take_signal(&mut self, picture: usize, taken: Taken) -> Result<RawSignal> {
+        let own = &self.pictures[picture];
+        let signal = match taken {
+            Taken::Color => &own.color,
+            Taken::Payload(index) => &own.payload[index].signal,
+        };
+        let (signal, samples) = (signal.clone(), own.samples.clone());
         let window = self.data_window_of(picture);
-        source::settled_from(&color, &samples, &mut |planes: &Planes, outside| {
+        source::settled_from(&signal, &samples, &mut |planes: &Planes, outside| {
             let part = self.part(planes);
-            let needed_again = self.channels_needed_again(picture, planes);
-            let own = source::window_of(&self.files[planes.file], part, window);
+            let needed_again = match taken {
+                Taken::Color => self.channels_needed_again(picture, planes),
+                Taken::Payload(index) => self.payload_needed_again(picture, index, planes),
+            };
+            let own = self.window(planes, window);
             let taken =
                 self.files[planes.file].take_planes(part, &planes.channels, |channel| needed_again.contains(&channel));
             taken.map(|image| source::aligned(image, own, window, outside)).map_err(|shortage| self.no_memory(shortage))
         })
     }
 
-    /// Reads the halves of the colour again if [`BufferSet::take_color`] freed them: an output shows them as they were
+    /// Reads the halves of the colour again if [`BufferSet::take_signal`] freed them: an output shows them as they were
     /// if the frame has no use for them.
     ///
     /// # Errors
@@ -284,16 +376,52 @@ impl BufferSet {
     fn restore_halves(&mut self, picture: usize) -> Result<()> {
         let color = &self.pictures[picture].color;
         let halves = [color.half_a.clone(), color.half_b.clone()].into_iter().flatten();
-        for planes in halves.filter(|planes| planes.file == 0) {
-            let part = self.part(&planes);
-            self.files[0].restore(part, &planes.channels)?;
+        halves.filter(|planes| planes.file == 0).try_for_each(|planes| self.restore(&planes))
+    }
+
+    /// Reads the layers that are denoised along again if their samples were given away and `is_wanted`, called with the
+    /// picture and the layer, is true. Layers that were merged from seeds are in no file, and stay as they are.
+    ///
+    /// # Errors
+    /// [`Error::File`] if the input cannot be read any more.
+    pub(crate) fn restore_payload(&mut self, is_wanted: impl Fn(usize, &PayloadSource) -> bool) -> Result<()> {
+        if !self.seeds.is_empty() {
+            return Ok(());
         }
-        Ok(())
+        let mut wanted = Vec::new();
+        for (index, picture) in self.pictures.iter().enumerate() {
+            let sources = picture.payload.iter().filter(|source| is_wanted(index, source));
+            wanted.extend(sources.map(|source| source.signal.mean.clone()));
+        }
+        wanted.iter().try_for_each(|planes| self.restore(planes))
+    }
+
+    /// Reads channels of the input again if their samples were freed.
+    ///
+    /// # Errors
+    /// [`Error::File`] if the input cannot be read any more.
+    pub(crate) fn restore(&mut self, planes: &Planes) -> Result<()> {
+        let part = self.part(planes);
+        let is_freed = |channel: &usize| self.files[0].is_freed(part, *channel);
+        let freed: Vec<usize> = planes.channels.iter().copied().filter(is_freed).collect();
+        if freed.is_empty() { Ok(()) } else { self.files[0].restore(part, &freed) }
     }
 
     /// Frees the samples of files other than the input.
     fn forget_other_files(&mut self) {
         self.files.iter_mut().skip(1).for_each(|file| file.forget_samples(|_, _| false));
+    }
+
+    /// Notes that the values of a layer in memory are multiplied by their alpha.
+    pub(crate) fn mark_converted(&mut self, id: LayerId) {
+        for picture in &mut self.pictures {
+            if picture.color.mean.id() == id {
+                picture.color.alphas = None;
+            }
+            for source in picture.payload.iter_mut().filter(|source| source.signal.mean.id() == id) {
+                source.is_converted |= source.signal.alphas.take().is_some();
+            }
+        }
     }
 
     /// Refuses to make a frame of the set if there is not enough memory for planes of f32 beside the stored samples. If
@@ -303,7 +431,7 @@ impl BufferSet {
     /// [`Error::File`] with the needed and the free memory.
     fn check_memory_for_frame(&self, picture: usize, taken: bool) -> Result<()> {
         let pixels = self.data_window_of(picture).extent.pixels() as u64;
-        let Picture { color, features, samples_layer, .. } = &self.pictures[picture];
+        let Picture { color, features, samples_layer, payload, alpha, .. } = &self.pictures[picture];
         let count = |planes: &Option<Planes>| planes.as_ref().map_or(0, |planes| planes.channels.len() as u64);
         let of_variance = |variance: &Option<VarianceSource>| {
             variance.as_ref().map_or(0, |variance| variance.planes.channels.len() as u64)
@@ -324,8 +452,14 @@ impl BufferSet {
         let one_feature = features.iter().map(|(_, source)| let_go(source)).max().unwrap_or(0);
         let with_features =
             (4 * (kept(color) + all_features + one_feature + count(samples_layer))).saturating_sub(stored);
-        // Adds the marks for the repair of pixels.
-        let needed = pixels * (while_color.max(with_features) + STATE_BYTES);
+        // The half spread of a layer that is denoised along is made while its mean and both halves are there.
+        let along = payload.iter().map(|source| kept(&source.signal)).sum::<u64>();
+        let one_layer = payload.iter().map(|source| count(&source.signal.half_a) + let_go(&source.signal)).max();
+        let with_payload = kept(color) + all_features + count(samples_layer) + along + one_layer.unwrap_or(0);
+        let with_payload = (4 * with_payload).saturating_sub(stored);
+        // Adds the marks for the repair of pixels and for pixels without hits, and a copy of alpha.
+        let marks = STATE_BYTES + alpha.as_ref().map_or(0, |_| 5);
+        let needed = pixels * (while_color.max(with_features).max(with_payload) + marks);
         FreeMemory::now().check(needed).map_err(|shortage| self.no_memory(shortage))
     }
 
@@ -356,8 +490,27 @@ impl BufferSet {
         if planes != &color.mean && layer.without_alpha().iter().any(|channel| !planes.channels.contains(channel)) {
             return planes.channels.clone();
         }
-        let signals = self.pictures.iter().flat_map(Picture::signals).flat_map(SignalSource::planes);
-        let all: Vec<&Planes> = signals.collect();
+        self.channels_of_others(planes)
+    }
+
+    /// Returns the channels of `planes`, which belong to a layer that is denoised along, whose stored samples are needed
+    /// again: something else is made of them, or an output does not replace all of them.
+    fn payload_needed_again(&self, picture: usize, index: usize, planes: &Planes) -> Vec<usize> {
+        let source = &self.pictures[picture].payload[index];
+        let window = self.data_window_of(picture);
+        let part = self.part(planes);
+        // No filter changes a constant layer, so that it stays as it is.
+        let is_constant = || planes.channels.iter().all(|channel| self.files[planes.file].is_constant(part, *channel));
+        if *planes != source.signal.mean || !source::covers(window, self.window(planes, window)) || is_constant() {
+            return planes.channels.clone();
+        }
+        self.channels_of_others(planes)
+    }
+
+    /// Returns the channels of `planes` that more than one signal is made of.
+    fn channels_of_others(&self, planes: &Planes) -> Vec<usize> {
+        let signals = self.pictures.iter().flat_map(|picture| picture.signals().chain(picture.payload_signals()));
+        let all: Vec<&Planes> = signals.flat_map(SignalSource::planes).collect();
         let users = |channel: usize| {
             let uses = |other: &&&Planes| {
                 other.file == planes.file && self.part(other) == self.part(planes) && other.channels.contains(&channel)
@@ -367,19 +520,67 @@ impl BufferSet {
         planes.channels.iter().copied().filter(|channel| users(*channel) > 1).collect()
     }
 
+    /// Returns the data window of planes, which belong to a picture with the data window `picture`.
+    pub(crate) fn window(&self, planes: &Planes, picture: Window) -> Window {
+        source::window_of(&self.files[planes.file], self.part(planes), picture)
+    }
+
     pub(crate) fn color_part(&self, picture: usize) -> usize {
         self.files[0].layers[self.pictures[picture].color.mean.layer].part
     }
 
-    fn raw(&self, picture: usize, source: &SignalSource) -> RawSignal {
-        let window = self.data_window_of(picture);
-        source::settled(source, &self.pictures[picture].samples, &|planes: &Planes, outside| {
-            let file = &self.files[planes.file];
-            let part = file.layers[planes.layer].part;
-            let image = file.planes(part, &planes.channels);
-            source::aligned(image, source::window_of(file, part, window), window, outside)
-        })
+    pub(crate) fn raw(&self, picture: usize, source: &SignalSource) -> RawSignal {
+        let samples = &self.pictures[picture].samples;
+        source::settled(source, samples, &|planes: &Planes, outside| self.image(picture, planes, outside))
     }
+
+    /// Returns planes in the window of a picture.
+    pub(crate) fn image(&self, picture: usize, planes: &Planes, outside: f32) -> Image {
+        let window = self.data_window_of(picture);
+        let image = self.files[planes.file].planes(self.part(planes), &planes.channels);
+        source::aligned(image, self.window(planes, window), window, outside)
+    }
+}
+
+/// A signal whose samples are given away.
+#[derive(Clone, Copy)]
+enum Taken {
+    Color,
+    /// The layer at this position among those that are denoised along.
+    Payload(usize),
+}
+
+/// Noise-free images for a picture, multiplied by their alpha.
+#[derive(Clone, Debug)]
+pub struct References {
+    /// The colour: three planes.
+    pub color: Image,
+    /// Names and images of layers that are denoised along, in the order of [`BufferSet::payload`].
+    pub payload: Vec<(String, Image)>,
+    /// Index of the colour's alpha in `payload`; `None` without one.
+    pub alpha: Option<usize>,
+}
+
+/// Whether a file may hold straight colours: the decoder multiplies those of PNG files by their alpha.
+fn has_straight(file: &ExrFile) -> bool {
+    file.format != Format::Png
+}
+
+fn payload_layer(source: &PayloadSource, raw: RawSignal) -> PayloadLayer {
+    let half_spread = raw.half_a.as_ref().zip(raw.half_b.as_ref()).map(|(a, b)| half_spread(a, b, 1.0, 1.0));
+    let mut mean = raw.mean;
+    if source.kind == PayloadKind::Alpha {
+        mean.planes.iter_mut().flatten().for_each(|alpha| *alpha = alpha.clamp(0.0, 1.0));
+    }
+    PayloadLayer { name: source.name.clone(), kind: source.kind, mean, half_spread }
+}
+
+/// Adds layers to a frame and their repairs to those of the frame.
+fn with_payload((frame, mut repairs): (Frame, Repairs), layers: Vec<PayloadLayer>) -> Result<(Frame, Repairs)> {
+    let (frame, more) = frame.with_payload(layers)?;
+    repairs.layers.extend(more.layers);
+    repairs.notes.extend(more.notes);
+    Ok((frame, repairs))
 }
 
 /// Returns what people call a picture by its layer: plain `R G B` has no name.

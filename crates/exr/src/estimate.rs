@@ -1,16 +1,20 @@
 //! Writes an estimate into a copy of the file that it was made from.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use crate::alpha::{divided, without_fringe};
 use crate::picture_file::{self, Format};
-use crate::write::write_pictures;
+use crate::source::{self, Alphas, PayloadSource, Planes};
+use crate::write::{ReplacedChannels, write_pictures};
 use crate::{BufferSet, DenoisedLayers, LayerUse, NamedLayer, Role};
 use stein::error::{FileCause, RequestCause};
+use stein::frame::PayloadKind;
 use stein::host_memory::FreeMemory;
 use stein::method::{Intermediate, Method};
-use stein::{Error, Estimate, Image, Result, text};
+use stein::{DenoisedLayer, Error, Estimate, Image, PayloadLeft, Result, text};
 
 /// Prefix of the names of our layers, which no renderer uses.
 pub(crate) const PREFIX: &str = "stein";
@@ -25,8 +29,10 @@ pub struct Written {
     pub added_layers: Vec<String>,
     /// Names of the halves that were replaced by halves of the denoised colour.
     pub replaced_layers: Vec<String>,
-    /// Names of the layers that were left out: the input's variance and the layers of an earlier run, which do not
-    /// belong to the denoised colour.
+    /// Names of the layers that were denoised along with the colour, as in [`BufferSet::payload`].
+    pub along: Vec<String>,
+    /// Names of the layers that were left out: the input's variance, halves and variances of layers that were denoised
+    /// along, and the layers of an earlier run, which do not belong to the denoised colour.
     pub dropped_layers: Vec<String>,
     /// Number of values beyond the largest half float, written as ±65504.
     pub clamped_values: usize,
@@ -36,8 +42,9 @@ pub struct Written {
     pub notes: Vec<String>,
 }
 
-/// Writes the input with its colour and halves replaced by those of the estimate, and without its variance, which does
-/// not belong to the denoised colour. Adds the estimated error, if there is one, as `stein.error`, and the
+/// Writes the input with its colour and halves and the layers that were denoised along replaced by those of the
+/// estimate, and without its variance, which does not belong to the denoised colour. Straight colours are divided by the
+/// denoised alpha. Layers that no filter changed stay as they were, to the bit. Adds the estimated error, if there is one, as `stein.error`, and the
 /// [`Estimate::layers`] of the intermediates in `keep` as `stein.*`. `set` is the set that the frame was made of, and
 /// is used up; `method` is noted in the header.
 ///
@@ -65,17 +72,19 @@ pub fn write_estimate(
 /// As [`write_denoised`](crate::write_denoised).
 pub fn write_estimates(
     estimates: &[Estimate],
-    set: BufferSet,
+    mut set: BufferSet,
     output: &Path,
     keep: &[Intermediate],
     method: &Method,
 ) -> Result<Written> {
     if let Some(format) = Format::from_extension(output).filter(|format| *format != Format::OpenExr) {
+        restore_unchanged(&mut set, estimates)?;
         return write_picture(estimates, &set, output, keep, format);
     }
     FreeMemory::now()
         .check(estimates.iter().map(|estimate| bytes_for_writing(estimate, keep)).sum())
         .map_err(|shortage| shortage.error("writing the output"))?;
+    restore_unchanged(&mut set, estimates)?;
     let parameters = serde_json::to_string(method).map_err(|error| Error::File {
         path: output.to_owned(),
         cause: FileCause::Defect {
@@ -108,16 +117,17 @@ pub fn write_estimates(
         };
         pictures.push(OfPicture::new(&set, picture, estimate, keep, &prefix, &mut notes));
     }
+    notes.extend(lacked_beside(estimates));
     let mut stale: Vec<String> = stale.into_iter().chain(of_seeds).collect();
-    let layers: Vec<DenoisedLayers<'_>> = estimates
-        .iter()
-        .zip(&mut pictures)
+    let others = pictures.iter_mut().flat_map(|picture| std::mem::take(&mut picture.others)).collect();
+    let layers: Vec<DenoisedLayers<'_>> = pictures
+        .iter_mut()
         .enumerate()
-        .map(|(index, (estimate, picture))| {
+        .map(|(index, picture)| {
             picture.dropped.append(&mut stale);
             let attributes = if index == 0 { attributes.as_slice() } else { &[] };
             DenoisedLayers {
-                color: &estimate.color,
+                color: &picture.color,
                 replacements: &picture.replacements,
                 dropped: &picture.dropped,
                 extra: &picture.extra,
@@ -125,21 +135,23 @@ pub fn write_estimates(
             }
         })
         .collect();
-    let report = write_pictures(set, output, &layers)?;
+    let report = write_pictures(set, output, &layers, others)?;
     notes.extend(report.to_string().lines().map(str::to_owned));
     let mut written = Written {
         file: output.to_owned(),
         added_layers: Vec::new(),
         replaced_layers: Vec::new(),
+        along: Vec::new(),
         dropped_layers: Vec::new(),
         clamped_values: report.clamped_values,
         non_finite_values: report.non_finite_values,
         notes,
     };
-    for OfPicture { replacements, dropped, extra } in pictures {
+    for OfPicture { replacements, along, dropped, extra, .. } in pictures {
         let added = extra.into_iter().map(|layer| layer.name).filter(|name| !report.left_out.contains(name));
         written.added_layers.extend(added);
         written.replaced_layers.extend(replacements.into_iter().map(|(name, _)| name));
+        written.along.extend(along);
         written.dropped_layers.extend(dropped);
     }
     Ok(written)
@@ -166,14 +178,33 @@ fn write_picture(
             change: "give one for each picture",
         }));
     };
-    let mut image = first.color.clone();
-    image.planes.extend(set.alpha().into_iter().flat_map(|alpha| alpha.planes));
+    let picture = &set.pictures[0];
+    let form = Form::new(set, 0, first);
+    let mut along = Vec::new();
+    let alpha = picture.alpha.as_ref().filter(|alpha| alpha.layer == picture.color.mean.layer);
+    let mut image = match format {
+        // The encoder divides by alpha.
+        Format::Png => form.without_fringe(Cow::Borrowed(&first.color)),
+        _ => form.colour(Cow::Borrowed(&first.color), picture.alpha.as_ref()),
+    }
+    .into_owned();
+    if let Some(planes) = alpha {
+        match picture.payload.iter().find(|source| source.signal.mean == *planes) {
+            Some(source) => {
+                let is_denoised = denoised(first, source).is_some_and(|layer| layer.left.is_none());
+                along.extend(is_denoised.then(|| source.name.clone()));
+                image.planes.push(form.alpha(planes));
+            }
+            None => image.planes.extend(set.image(0, planes, 0.0).planes),
+        }
+    }
     let counts = picture_file::write(output, &image, format, set.png_encoding)?;
     notes.extend(counts.notes());
     Ok(Written {
         file: output.to_owned(),
         added_layers: Vec::new(),
         replaced_layers: Vec::new(),
+        along,
         dropped_layers: Vec::new(),
         clamped_values: counts.clamped_values,
         non_finite_values: counts.non_finite_values,
@@ -181,24 +212,168 @@ fn write_picture(
     })
 }
 
+/// Returns the denoised layer of a source.
+fn denoised<'a>(estimate: &'a Estimate, source: &PayloadSource) -> Option<&'a DenoisedLayer> {
+    estimate.payload.iter().find(|layer| layer.name == source.name)
+}
+
+/// Reads the layers again that no filter changed, so that they are written as they were.
+fn restore_unchanged(set: &mut BufferSet, estimates: &[Estimate]) -> Result<()> {
+    set.restore_payload(|picture, source| {
+        let estimate = estimates.get(picture);
+        estimate.and_then(|estimate| denoised(estimate, source)).is_none_or(|layer| layer.left.is_some())
+    })
+}
+
+/// The form in which an output of a picture holds its denoised layers.
+struct Form<'a> {
+    set: &'a BufferSet,
+    picture: usize,
+    estimate: &'a Estimate,
+    /// Alpha of the output, and the pixels of the input without hits; `None` if alpha stays as it is.
+    hits: Option<(Vec<f32>, Cow<'a, [bool]>)>,
+}
+
+impl<'a> Form<'a> {
+    fn new(set: &'a BufferSet, picture: usize, estimate: &'a Estimate) -> Self {
+        let mut form = Self { set, picture, estimate, hits: None };
+        let own = &set.pictures[picture];
+        if let Some(planes) = own.alpha.as_ref().filter(|_| !own.keeps_alpha) {
+            let empty = match &own.empty {
+                Some(empty) => Cow::Borrowed(empty.as_slice()),
+                // The samples of the colour are still there.
+                None => Cow::Owned(set.empty_pixels(picture, &set.raw(picture, &own.color)).unwrap_or_default()),
+            };
+            form.hits = Some((form.alpha(planes), empty));
+        }
+        form
+    }
+
+    /// Returns an alpha as the output has it, from 0 to 1, in the window of the picture.
+    fn alpha(&self, planes: &Planes) -> Vec<f32> {
+        let payload = self.set.pictures[self.picture].payload.iter();
+        let source = payload.filter(|source| source.signal.mean == *planes);
+        let mut alpha = match source.into_iter().find_map(|source| denoised(self.estimate, source)) {
+            Some(layer) => layer.image.planes[0].clone(),
+            None => self.set.image(self.picture, planes, 0.0).planes.swap_remove(0),
+        };
+        alpha.iter_mut().for_each(|alpha| *alpha = alpha.clamp(0.0, 1.0));
+        alpha
+    }
+
+    /// Returns a colour that is 0 where neither the input nor the output has a hit.
+    fn without_fringe<'b>(&self, image: Cow<'b, Image>) -> Cow<'b, Image> {
+        match &self.hits {
+            Some((alpha, empty)) => without_fringe(image, alpha, empty),
+            None => image,
+        }
+    }
+
+    /// Returns a colour, which is multiplied by its alpha, as the input stores colours.
+    fn colour<'b>(&self, image: Cow<'b, Image>, alpha: Option<&Planes>) -> Cow<'b, Image> {
+        let image = self.without_fringe(image);
+        match alpha.filter(|_| self.set.pictures[self.picture].is_straight) {
+            Some(planes) => Cow::Owned(divided(&image, &self.alpha(planes))),
+            None => image,
+        }
+    }
+
+    /// Returns channels of the input with a denoised image in their own window. Pixels outside of the picture stay as
+    /// they were.
+    fn replaced(&self, layer: &str, planes: &Planes, image: Cow<'_, Image>) -> ReplacedChannels {
+        let window = self.set.data_window_of(self.picture);
+        let own = self.set.window(planes, window);
+        let part = self.set.part(planes);
+        let image = if source::covers(window, own) {
+            source::aligned(image.into_owned(), window, own, 0.0)
+        } else {
+            let mut whole = self.set.files[0].planes(part, &planes.channels);
+            source::overlay(&mut whole, own, &image, window);
+            whole
+        };
+        ReplacedChannels { layer: layer.to_owned(), part, channels: planes.channels.clone(), image }
+    }
+
+    /// Returns the alpha of a half of the colour with the denoised alpha in its place; `None` without one.
+    fn alpha_of_half(&self, name: &str, alpha: &Image) -> Option<ReplacedChannels> {
+        let index = self.set.files[0].layers.iter().position(|layer| layer.name == name)?;
+        let layer = &self.set.files[0].layers[index];
+        let channel = layer.channel("A").filter(|_| layer.channels.len() > 1)?;
+        let planes = Planes { file: 0, layer: index, channels: vec![channel] };
+        Some(self.replaced(name, &planes, Cow::Borrowed(alpha)))
+    }
+}
+
+/// Returns a remark on layers that are as they were because a frame beside lacks them.
+fn lacked_beside(estimates: &[Estimate]) -> Option<String> {
+    let layers = estimates.iter().flat_map(|estimate| &estimate.payload);
+    let lacked: Vec<_> = layers
+        .filter(|layer| layer.left == Some(PayloadLeft::LackedBeside))
+        .map(|layer| text::name(&layer.name).into_owned())
+        .collect();
+    (!lacked.is_empty()).then(|| format!("as they were, because a frame beside lacks them: {}", text::list(lacked)))
+}
+
 /// Layers of the output that belong to one picture.
-struct OfPicture {
+struct OfPicture<'a> {
+    color: Cow<'a, Image>,
     replacements: Vec<(String, Image)>,
+    /// Channels of layers that are denoised along.
+    others: Vec<ReplacedChannels>,
+    /// Names of the layers that are denoised along.
+    along: Vec<String>,
     dropped: Vec<String>,
     extra: Vec<NamedLayer>,
 }
 
-impl OfPicture {
+impl<'a> OfPicture<'a> {
     fn new(
         set: &BufferSet,
         picture: usize,
-        estimate: &Estimate,
+        estimate: &'a Estimate,
         keep: &[Intermediate],
         prefix: &str,
         notes: &mut Vec<String>,
     ) -> Self {
+        let own = &set.pictures[picture];
+        let form = Form::new(set, picture, estimate);
         let mut replacements = Vec::new();
         let mut dropped = Vec::new();
+        let mut others = Vec::new();
+        let mut along = Vec::new();
+        let mut alpha_of_color = None;
+        for source in &own.payload {
+            let Some(layer) = denoised(estimate, source) else { continue };
+            let planes = &source.signal.mean;
+            let part = set.part(planes);
+            let is_changed = layer.left.is_none();
+            let is_lost = || planes.channels.iter().any(|channel| set.files[0].is_freed(part, *channel));
+            if !is_changed && !source.is_converted && !is_lost() {
+                continue;
+            }
+            let image = match source.kind {
+                PayloadKind::Light => form.colour(Cow::Borrowed(&layer.image), source.alpha.as_ref()),
+                PayloadKind::Alpha => {
+                    let mut image = layer.image.clone();
+                    image.planes.iter_mut().flatten().for_each(|alpha| *alpha = alpha.clamp(0.0, 1.0));
+                    Cow::Owned(image)
+                }
+            };
+            if is_changed {
+                along.push(source.name.clone());
+                let stale = source.stale.iter().map(|layer| set.files[0].layers[*layer].name.clone());
+                let stale: Vec<String> = stale.filter(|name| !dropped.contains(name)).collect();
+                dropped.extend(stale);
+                if Some(planes) == own.alpha.as_ref() {
+                    alpha_of_color = Some(image.clone());
+                }
+            }
+            others.push(form.replaced(&source.name, planes, image));
+        }
+        if !dropped.is_empty() {
+            let names = dropped.iter().map(|name| text::name(name).into_owned());
+            notes.push(format!("left out, the noise of layers that are denoised: {}", text::list(names)));
+        }
         for layer in set.uses_in_input().iter().filter(|layer| layer.picture == Some(picture)) {
             let sign = match layer.role {
                 Role::HalfA => 1.0,
@@ -212,7 +387,13 @@ impl OfPicture {
             let plain = layer.channels.iter().filter(|channel| !channel.eq_ignore_ascii_case("A")).count();
             match &estimate.half_spread {
                 Some(half_spread) if plain == 3 || plain == 1 => {
-                    replacements.push((layer.layer.clone(), half(&estimate.color, half_spread, sign)));
+                    let image = Cow::Owned(half(&estimate.color, half_spread, sign));
+                    // A half whose alpha stays as it was is divided by it.
+                    let alphas = own.color.alphas.as_ref().filter(|_| alpha_of_color.is_none());
+                    let of_half = |it: &Alphas| if sign > 0.0 { it.half_a.clone() } else { it.half_b.clone() };
+                    let alpha = alphas.and_then(of_half).or_else(|| own.alpha.clone());
+                    replacements.push((layer.layer.clone(), form.colour(image, alpha.as_ref()).into_owned()));
+                    others.extend(alpha_of_color.as_ref().and_then(|alpha| form.alpha_of_half(&layer.layer, alpha)));
                 }
                 _ => notes.push(format!(
                     "layer '{}' is as it was: it holds more than a half of the colour",
@@ -231,18 +412,21 @@ impl OfPicture {
             channels: layer.channels.clone(),
             image: layer.image.clone(),
         });
-        Self { replacements, dropped, extra: error.into_iter().chain(named).collect() }
+        let color = form.colour(Cow::Borrowed(&estimate.color), own.alpha.as_ref());
+        Self { color, replacements, others, along, dropped, extra: error.into_iter().chain(named).collect() }
     }
 }
 
 /// Returns the largest number of bytes in memory, besides the estimate, before the file is written: the colour and its
-/// halves as the file stores them, the halves as they are computed, and two copies of the added layers.
+/// halves as the file stores them, the halves as they are computed, and two copies of the added layers, of the colour
+/// and of the layers that are denoised along.
 fn bytes_for_writing(estimate: &Estimate, keep: &[Intermediate]) -> u64 {
     let halves = estimate.half_spread.as_ref().map_or(0, |_| 2 * estimate.color.channels());
     let kept =
         estimate.layers.iter().filter(|layer| keep.contains(&layer.intermediate)).map(|layer| layer.image.channels());
     let added = kept.sum::<usize>() + estimate.error.as_ref().map_or(0, Image::channels);
-    4 * (estimate.color.extent.pixels() * (estimate.color.channels() + 2 * halves + 2 * added)) as u64
+    let along = estimate.payload.iter().map(|layer| layer.image.channels()).sum::<usize>();
+    4 * (estimate.color.extent.pixels() * (2 * estimate.color.channels() + 2 * halves + 2 * added + 2 * along)) as u64
 }
 
 /// Returns half A (`sign` 1) or half B (`sign` −1) of the denoised colour.

@@ -26,8 +26,7 @@ pub(crate) struct ExrFile {
     pub(crate) layers: Vec<FileLayer>,
     /// How the samples of each channel of each part are stored in the file; in memory they may be of another type.
     pub(crate) stored_types: Vec<Vec<SampleType>>,
-    /// Whether the format knows windows; in other formats the first pixel is at (0, 0).
-    pub(crate) has_windows: bool,
+    pub(crate) format: Format,
 }
 
 impl ExrFile {
@@ -37,16 +36,16 @@ impl ExrFile {
         let (mut image, format) =
             read(path, encoding).map_err(|Trouble(cause)| Error::File { path: path.to_owned(), cause })?;
         image.layer_data.iter_mut().for_each(mend_overshoots);
-        Ok(Self::of_image(path.to_owned(), image, format == Format::OpenExr))
+        Ok(Self::of_image(path.to_owned(), image, format))
     }
 
-    fn of_image(path: PathBuf, image: FlatImage, has_windows: bool) -> Self {
+    fn of_image(path: PathBuf, image: FlatImage, format: Format) -> Self {
         let layers = layers_of(&image);
         let types = |layer: &Layer<AnyChannels<FlatSamples>>| {
             layer.channel_data.list.iter().map(|channel| type_of(&channel.sample_data)).collect()
         };
         let stored_types = image.layer_data.iter().map(types).collect();
-        Self { path, image, layers, stored_types, has_windows }
+        Self { path, image, layers, stored_types, format }
     }
 
     /// Returns the file with all names and types, but without any samples.
@@ -69,8 +68,13 @@ impl ExrFile {
             image: FlatImage { attributes: self.image.attributes.clone(), layer_data },
             layers: self.layers.clone(),
             stored_types: self.stored_types.clone(),
-            has_windows: self.has_windows,
+            format: self.format,
         }
+    }
+
+    /// Whether the format knows windows; in other formats the first pixel is at (0, 0).
+    pub(crate) fn has_windows(&self) -> bool {
+        self.format == Format::OpenExr
     }
 
     /// Returns the number of parts.
@@ -163,6 +167,23 @@ impl ExrFile {
             channels
                 .filter(|(channel, _)| !is_kept(part, *channel))
                 .for_each(|(_, channel)| forget(&mut channel.sample_data));
+        }
+    }
+
+    /// Whether the samples of a channel were freed.
+    pub(crate) fn is_freed(&self, part: usize, channel: usize) -> bool {
+        self.image.layer_data[part].channel_data.list[channel].sample_data.len() == 0
+    }
+
+    /// Whether all samples of a channel are equal.
+    pub(crate) fn is_constant(&self, part: usize, channel: usize) -> bool {
+        fn are_equal<T: PartialEq>(values: &[T]) -> bool {
+            values.windows(2).all(|pair| pair[0] == pair[1])
+        }
+        match &self.image.layer_data[part].channel_data.list[channel].sample_data {
+            FlatSamples::F16(values) => are_equal(values),
+            FlatSamples::F32(values) => are_equal(values),
+            FlatSamples::U32(values) => are_equal(values),
         }
     }
 

@@ -170,9 +170,10 @@ pub enum Role {
     Feature(String, SignalPart),
     /// Samples per pixel.
     Samples,
-    /// Opacity; an output keeps it as it is.
+    /// Opacity.
     Alpha,
-    /// A part of the colour, such as the light of one lamp; an output keeps it as it is.
+    /// A part of the colour, such as the light of one lamp, or another layer that is denoised along with the colour on
+    /// request.
     Light,
     /// Numbers of objects; an output keeps them as they are.
     Id,
@@ -247,7 +248,11 @@ pub struct LayerUse {
     /// Use of the layer.
     pub role: Role,
     /// Index of the picture that the layer belongs to; `None` for layers that are not used, or belong to all pictures.
+    /// The noise of layers that are denoised along, which an output leaves out, belongs to their picture.
     pub picture: Option<usize>,
+    /// Whether the layer, a light or an alpha, is denoised along with the colour. An output keeps other lights and alphas
+    /// as they are. The alpha of the colour's own layer is in [`BufferSet::payload`](crate::BufferSet::payload) alone.
+    pub is_along: bool,
     /// Quantity of a variance that is converted: a variance of one sample or a second moment; of a layer that is not
     /// used, if it is easily mistaken for a variance.
     pub quantity: Option<Quantity>,
@@ -267,6 +272,9 @@ impl fmt::Display for LayerUse {
         // The note says why something is not a variance.
         if let Some(quantity) = self.quantity.filter(|quantity| *quantity != Quantity::NotAVariance) {
             write!(f, ", a {quantity}")?;
+        }
+        if self.is_along {
+            f.write_str(", denoised along")?;
         }
         if self.non_finite_values > 0 {
             write!(f, ", {} values not finite", self.non_finite_values)?;

@@ -11,6 +11,7 @@ use std::sync::LazyLock;
 
 use serde::{Deserialize, Serialize, Serializer};
 
+use crate::along::AlphaEncoding;
 pub(crate) use pattern::{Breadth, Pattern};
 pub(crate) use recognise::{Recognised, recognise};
 pub(crate) use rule::Rule;
@@ -31,6 +32,8 @@ pub struct Layout {
     document: String,
     recognise: Vec<recognise::Sign>,
     sample_attributes: Vec<String>,
+    /// How the colours of the files relate to their alpha.
+    pub(crate) alpha: AlphaEncoding,
     pub(crate) joins: Vec<Join>,
     pub(crate) rules: Vec<Rule>,
 }
@@ -53,6 +56,8 @@ pub(crate) struct Join {
 #[serde(deny_unknown_fields)]
 struct Document {
     title: String,
+    #[serde(default)]
+    alpha: AlphaEncoding,
     #[serde(default)]
     recognise: Vec<recognise::SignDocument>,
     #[serde(default)]
@@ -149,6 +154,7 @@ impl Layout {
             document: document.to_owned(),
             recognise: signs.collect::<std::result::Result<_, _>>()?,
             sample_attributes: parsed.samples.attributes,
+            alpha: parsed.alpha,
             joins: parsed.join,
             rules,
         })
@@ -240,6 +246,7 @@ mod tests {
             ("title = \"x\"\nlayers = 1", "unknown field `layers`"),
             ("", "missing field `title`"),
             ("title = \"x\"\n[[layer]]\nname = \"a\"\nrole = \"colour\"", "unknown variant `colour`"),
+            ("title = \"x\"\nalpha = \"none\"", "unknown variant `none`"),
             ("title = \"x\"\n[[layer]]\nname = \"a\"", "has no role"),
             ("title = \"x\"\n[[layer]]\nrole = \"color\"", "has neither name nor file"),
             ("title = \"x\"\n[[layer]]\nname = \"a\"\nrole = \"ignore\"\nquantity = \"not a variance\"", "why"),

@@ -11,6 +11,8 @@
 //!
 //! Wherever an OpenEXR file is read, a PFM or PNG file may stand: a colour without statistics, see [`picture_file`].
 
+mod along;
+mod alpha;
 mod assign;
 pub mod atomic_file;
 mod buffer_set;
@@ -37,7 +39,8 @@ mod source;
 mod uses;
 mod write;
 
-pub use buffer_set::{BufferSet, picture_name, read_reference};
+pub use along::{AlphaEncoding, Aovs};
+pub use buffer_set::{BufferSet, References, picture_name, read_reference};
 pub use estimate::{Written, write_estimate, write_estimates};
 pub use layer_ref::{LayerRef, LayerUse, Role, SampleKind, SignalPart, same_file};
 pub use layout::{Layout, LayoutUse, Quantity, RecognisedBy, RoleName, Unit};

@@ -33,6 +33,11 @@ pub(crate) fn last_component(name: &str) -> &str {
     name.rsplit_once('.').map_or(name, |(_, last)| last)
 }
 
+/// Whether `end` is a layer's whole name, or the part behind one of its dots.
+pub(crate) fn ends_with(name: &str, end: &str) -> bool {
+    name.strip_suffix(end).is_some_and(|before| before.is_empty() || before.ends_with('.'))
+}
+
 /// Returns everything up to the last dot, with the dot: layers of one render share it.
 pub(crate) fn group(name: &str) -> &str {
     name.rfind('.').map_or("", |dot| &name[..=dot])

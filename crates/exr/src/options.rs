@@ -37,6 +37,7 @@ pub fn remedy(remedy: &Remedy) -> String {
         Remedy::LeaveFeaturesOut => "leave features out (--skip-feature, --no-features)".into(),
         Remedy::SkipFeature => "leave the feature out (--skip-feature)".into(),
         Remedy::NameFeatureToSkip => "name one of these with --skip-feature, or none".into(),
+        Remedy::NameLayersAlong => "name other layers with --aovs, or leave it out".into(),
         Remedy::GiveFeatureToo => {
             "give the feature itself, too (--feature), or its name as `stein info` lists it".into()
         }

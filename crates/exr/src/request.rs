@@ -6,13 +6,14 @@ use std::path::{Path, PathBuf};
 use clap::builder::{OsStringValueParser, TypedValueParser};
 use serde::{Deserialize, Serialize};
 
+use crate::along::{AlphaEncoding, Aovs};
 use crate::layer_ref::LayerRef;
 #[cfg(feature = "programs")]
 use crate::layer_ref::feature;
 use crate::picture_file::PngEncoding;
 
-/// Which files and layers to read. All fields except the input and its layer are options of programs by their names,
-/// such as `--half-a FILE::LAYER`.
+/// Which files and layers to read. All fields except the input, its layer and `payload_halves` are options of programs
+/// by their names, such as `--half-a FILE::LAYER`.
 ///
 /// The halves and the variance of a feature of another file are read from that file: from `LAYER_halfA` and so on, or
 /// from plain `halfA`, `halfB`, `variance` if the feature is the file's main layer.
@@ -58,6 +59,24 @@ pub struct BufferSetRequest {
     /// Variance of the mean of a feature from another file; may be repeated
     #[cfg_attr(feature = "programs", arg(long, value_name = "NAME=FILE[::LAYER]", value_parser = of_feature()))]
     pub feature_variance: Vec<(String, LayerRef)>,
+    /// Layers to denoise along with the colour, by the colour's own weights: `all` colours of the file that guide
+    /// nothing, `none`, or a list of names such as key,fill_*: whole names, or the last part of them in all view
+    /// layers. Numbers of objects stay as they are [default: lights, the layers that the layout knows as parts of the
+    /// light]
+    #[cfg_attr(
+        feature = "programs",
+        arg(long, value_name = "all|none|LIST", default_value_t = Aovs::Lights, hide_default_value = true)
+    )]
+    pub aovs: Aovs,
+    /// Leave alpha as it is, to the bit; without this option it is denoised along with the colour
+    #[cfg_attr(feature = "programs", arg(long))]
+    pub no_alpha: bool,
+    /// Whether the colours of the input are multiplied by their alpha [default: as the layout says, or premultiplied]
+    #[cfg_attr(feature = "programs", arg(long, value_enum, value_name = "straight|premultiplied"))]
+    pub alpha: Option<AlphaEncoding>,
+    /// Whether frames get the halves of the layers that are denoised along, which NLM alone uses.
+    #[cfg_attr(feature = "programs", arg(skip))]
+    pub payload_halves: bool,
     /// Another render of the same frame with another seed, to be merged with the input; may be repeated
     #[cfg_attr(feature = "programs", arg(id = "seed", long, value_name = "FILE"))]
     pub seeds: Vec<PathBuf>,

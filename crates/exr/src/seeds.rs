@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use rayon::prelude::*;
 use stein::error::{Error, FileCause, LayerCause, RequestCause, Result};
@@ -10,8 +11,9 @@ use stein::frame::{SamplesPerPixel, variance_from_image};
 use stein::image::{Extent, Image, Window};
 use stein::text;
 
+use crate::alpha;
 use crate::buffer_set::BufferSet;
-use crate::classify::{Classified, Meaning, Rules, Scope, classify, is_whole_numbers};
+use crate::classify::{Classified, LayerId, Meaning, Rules, Scope, classify, is_whole_numbers};
 use crate::counts;
 use crate::file::ExrFile;
 use crate::layout::{Layout, Quantity, RoleName, Rule};
@@ -36,7 +38,8 @@ pub(crate) struct Reading<'a> {
 
 /// Merges renders with other seeds with the input, in place: those of the request, and those that the layout names.
 /// Afterwards the set's colours, features, lights and alphas are the means of all seeds, and the halves of colours and
-/// features are the means of the seeds of each half. Everything else stays as the input has it.
+/// features are the means of the seeds of each half. Straight colours are multiplied by the alpha of their seed before.
+/// Everything else stays as the input has it.
 ///
 /// # Errors
 /// [`Error::File`] for a requested seed that cannot be read, that shows another frame or that is the same render;
@@ -67,6 +70,7 @@ pub(crate) fn merge(set: &mut BufferSet, request: &BufferSetRequest, reading: &R
     set.seed_files = seeds.iter().flat_map(|seed| seed.files.values().skip(1)).map(|file| file.path.clone()).collect();
     set.notes.extend(seeds.iter().flat_map(|seed| seed.notes.clone()));
     let mut merger = Merger::new(&seeds, request, reading);
+    merger.find_straight(set);
     merger.halves(set);
     merger.average(set);
     merger.finish(set);
@@ -157,7 +161,7 @@ fn check_is_seed(set: &BufferSet, others: &[Seed], seed: &ExrFile) -> Result<Vec
         if let Some(cause) = source::other_resolution(input, input.data_window(layer.part), seed, 0) {
             return Err(Error::Layer { path: seed.path.clone(), layer: layer.title(), cause });
         }
-        let Some(found) = same_layer(input, seed, planes) else {
+        let Some(found) = source::same_layer(input, seed, planes) else {
             let cause = LayerCause::Missing { layers: seed.layers_like(&layer.name) };
             return Err(Error::Layer { path: seed.path.clone(), layer: layer.title(), cause });
         };
@@ -181,7 +185,8 @@ fn check_is_seed(set: &BufferSet, others: &[Seed], seed: &ExrFile) -> Result<Vec
             continue;
         }
         let is_same = |file: &ExrFile| {
-            same_layer(input, file, planes).is_some_and(|(part, channels)| file.planes(part, &channels) == color)
+            source::same_layer(input, file, planes)
+                .is_some_and(|(part, channels)| file.planes(part, &channels) == color)
         };
         if let Some(same) = std::iter::once(input).chain(others.iter().map(Seed::main)).find(|file| is_same(file)) {
             let same = text::path(&same.path);
@@ -210,17 +215,6 @@ pub(crate) fn other_frame(own: &ExrFile, other: &ExrFile) -> Option<String> {
         return Some(format!("it shows the view '{}', and the input '{}'", text::name(&other), text::name(&own)));
     }
     (own.cameras() != other.cameras()).then(|| "its camera is another one".into())
-}
-
-/// Returns part and channels in another file of the layer of the same name; `None` if a channel is not there.
-fn same_layer(own: &ExrFile, other: &ExrFile, planes: &Planes) -> Option<(usize, Vec<usize>)> {
-    let layer = &own.layers[planes.layer];
-    let found = other.layers.iter().find(|candidate| candidate.name == layer.name)?;
-    let channel = |index: &usize| {
-        let letter = layer.channels.iter().find(|channel| channel.index == *index)?.letter();
-        found.channel(letter)
-    };
-    Some((found.part, planes.channels.iter().map(channel).collect::<Option<_>>()?))
 }
 
 /// Weights of the seeds in a picture; the input is the first seed.
@@ -412,11 +406,93 @@ struct Merger<'a> {
     /// The files of both halves, by the position of the file that they are halves of.
     halves: BTreeMap<usize, [ExrFile; 2]>,
     notes: Vec<String>,
+    straight: Vec<Straight>,
+}
+
+/// A layer of straight colours or of their variance.
+struct Straight {
+    id: LayerId,
+    is_variance: bool,
+    /// The channel of the input that holds the alpha: its part and position.
+    channel: (usize, usize),
+    window: Window,
+    /// Alpha of the input and of the seeds, in `window`.
+    alphas: Rc<Vec<Vec<f32>>>,
+}
+
+impl Straight {
+    /// Multiplies the values of a column by the alphas of their seeds.
+    fn convert(&self, column: &mut Column, window: Window) {
+        for (seed, alpha) in self.alphas.iter().enumerate() {
+            let aligned = (window != self.window).then(|| {
+                let image = Image { extent: self.window.extent, planes: vec![alpha.clone()] };
+                source::aligned(image, self.window, window, 0.0).planes.swap_remove(0)
+            });
+            let alpha = aligned.as_ref().unwrap_or(alpha);
+            let part = column.part;
+            for (_, values) in column.channels.iter_mut().filter(|(channel, _)| (part, *channel) != self.channel) {
+                let multiply = if self.is_variance { alpha::multiply_variance_plane } else { alpha::multiply_plane };
+                multiply(&mut values[seed], alpha);
+            }
+        }
+    }
 }
 
 impl<'a> Merger<'a> {
     fn new(seeds: &'a [Seed], request: &'a BufferSetRequest, reading: &'a Reading<'a>) -> Self {
-        Self { seeds, request, reading, weights: Vec::new(), halves: BTreeMap::new(), notes: Vec::new() }
+        let (weights, halves) = (Vec::new(), BTreeMap::new());
+        Self { seeds, request, reading, weights, halves, notes: Vec::new(), straight: Vec::new() }
+    }
+
+    /// Finds the layers of straight colours, with the alphas of all seeds as they are before the merge.
+    fn find_straight(&mut self, set: &mut BufferSet) {
+        let mut known: Vec<(Planes, Rc<Vec<Vec<f32>>>)> = Vec::new();
+        for index in 0..set.pictures.len() {
+            let color = &mut set.pictures[index].color;
+            let is_moment = |variance: &mut VarianceSource| variance.quantity == Quantity::SecondMoment;
+            if color.alphas.is_some() && color.variance.take_if(|variance| is_moment(variance)).is_some() {
+                self.notes.push("colour: a second moment of straight colours of several seeds is not used".into());
+            }
+            let picture = &set.pictures[index];
+            let signals = std::iter::once(&picture.color).chain(picture.payload_signals());
+            for signal in signals {
+                let Some(alpha) = signal.alphas.as_ref().map(|alphas| &alphas.mean) else { continue };
+                let alphas = match known.iter().find(|(other, _)| other == alpha) {
+                    Some((_, alphas)) => Rc::clone(alphas),
+                    None => {
+                        let alphas = Rc::new(self.alphas(set, alpha));
+                        known.push((alpha.clone(), Rc::clone(&alphas)));
+                        alphas
+                    }
+                };
+                let part = set.part(alpha);
+                let (channel, window) = ((part, alpha.channels[0]), set.files[0].data_window(part));
+                let straight = |planes: &Planes, is_variance| Straight {
+                    id: planes.id(),
+                    is_variance,
+                    channel,
+                    window,
+                    alphas: Rc::clone(&alphas),
+                };
+                self.straight.push(straight(&signal.mean, false));
+                self.straight.extend(signal.variance.as_ref().map(|variance| straight(&variance.planes, true)));
+            }
+        }
+    }
+
+    /// Returns an alpha of the input and of the seeds. A seed without it counts as opaque.
+    fn alphas(&self, set: &BufferSet, alpha: &Planes) -> Vec<Vec<f32>> {
+        let own = &set.files[0];
+        let part = set.part(alpha);
+        let window = own.data_window(part);
+        let of_seed = |seed: &Seed| match source::same_layer(own, seed.main(), alpha) {
+            Some((part, channels)) => {
+                let image = seed.main().planes(part, &channels);
+                source::aligned(image, seed.main().data_window(part), window, 0.0).planes.swap_remove(0)
+            }
+            None => vec![1.0; window.extent.pixels()],
+        };
+        std::iter::once(own.plane(part, alpha.channels[0])).chain(self.seeds.iter().map(of_seed)).collect()
     }
 
     /// Returns the position of the weights for the layers of a scope in the input.
@@ -456,7 +532,7 @@ impl<'a> Merger<'a> {
         let window = own.data_window(own.layers[planes.layer].part);
         let place = |seed: &'a Seed| {
             let file = seed.files.get(&planes.file)?;
-            let (part, channels) = same_layer(own, file, planes)?;
+            let (part, channels) = source::same_layer(own, file, planes)?;
             (source::overlap(file.data_window(part), window) > 0).then_some(Place { file, part, channels })
         };
         self.seeds.iter().map(|seed| place(seed).ok_or_else(|| seed.main().path.clone())).collect()
@@ -476,7 +552,11 @@ impl<'a> Merger<'a> {
             let others = of_seeds.iter().map(|planes| planes[position].clone());
             (channel, std::iter::once(own.plane(part, channel)).chain(others).collect())
         });
-        Ok(Column { part, channels: channels.collect() })
+        let mut column = Column { part, channels: channels.collect() };
+        if let Some(straight) = self.straight.iter().find(|straight| straight.id == planes.id()) {
+            straight.convert(&mut column, window);
+        }
+        Ok(column)
     }
 
     fn meaning(&self, planes: &Planes) -> Option<&Meaning> {
@@ -512,22 +592,23 @@ impl<'a> Merger<'a> {
         }
     }
 
-    /// Makes the halves of all colours and features of the seeds as they are.
+    /// Makes the halves of all colours and features, and on request of the layers that are denoised along, of the seeds
+    /// as they are.
     fn halves(&mut self, set: &mut BufferSet) {
         let first_half = set.files.len();
         for index in 0..set.pictures.len() {
             let mut picture = set.pictures[index].clone();
             let part = set.color_part(index);
             let weights = self.weights(set, &picture.scope, part);
-            let names: Vec<Option<String>> =
-                std::iter::once(None).chain(picture.features.iter().map(|(name, _)| Some(name.clone()))).collect();
-            let sources = std::iter::once(&mut picture.color).chain(picture.features.iter_mut().map(|(_, it)| it));
-            for (source, name) in sources.zip(names) {
+            let color = std::iter::once((&mut picture.color, "colour".to_owned()));
+            let features = picture.features.iter_mut().map(|(name, it)| (it, format!("feature {}", text::name(name))));
+            let payload = picture.payload.iter_mut().filter(|_| self.request.payload_halves);
+            let payload = payload.map(|it| (&mut it.signal, format!("layer {}", text::name(&it.name))));
+            for (source, name) in color.chain(features).chain(payload) {
                 // The input's own halves are halves of one seed.
                 let own_halves = [&source.half_a, &source.half_b].into_iter().flatten().filter(|half| half.file == 0);
                 set.stale.extend(own_halves.map(|half| half.layer));
                 (source.half_a, source.half_b) = (None, None);
-                let name = name.map_or_else(|| "colour".to_owned(), |name| format!("feature {}", text::name(&name)));
                 let planes = source.mean.clone();
                 // Files that were named for the input alone hold one feature for all seeds.
                 if !self.reading.own_files.contains(&planes.file) {
@@ -646,6 +727,7 @@ impl<'a> Merger<'a> {
                 let nothing = self.nothing(&planes, &column);
                 let weights = &self.weights[weights];
                 let weights = weights.in_window(source::window_of(&set.files[file], column.part, weights.window));
+                set.mark_converted(planes.id());
                 for (channel, values) in &column.channels {
                     let merged: Vec<f32> = match quantity {
                         Quantity::Count => {
@@ -666,6 +748,9 @@ impl<'a> Merger<'a> {
     fn averaged(&self, set: &BufferSet, planes: &Planes) -> Option<Quantity> {
         if is_whole_numbers(&set.files[planes.file], planes.layer) {
             return None;
+        }
+        if set.pictures.iter().any(|picture| picture.is_payload(planes.id())) {
+            return Some(Quantity::Mean);
         }
         // A colour that no rule names, or a feature that no rule names but comes with a variance.
         let Some(meaning) = self.meaning(planes) else { return Some(Quantity::Mean).filter(|_| is_used(set, planes)) };

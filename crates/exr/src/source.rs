@@ -1,9 +1,10 @@
 //! Places of a picture's signals in the files, and how their values are brought to one meaning.
 
 use stein::error::LayerCause;
-use stein::frame::{RawSignal, SamplesPerPixel, fill_unknown_variance};
+use stein::frame::{PayloadKind, RawSignal, SamplesPerPixel, fill_unknown_variance};
 use stein::image::{Image, Window};
 
+use crate::alpha;
 use crate::classify::{LayerId, Scope};
 use crate::file::ExrFile;
 use crate::layout::{Quantity, Unit};
@@ -57,9 +58,26 @@ pub(crate) struct SignalSource {
     /// The value of pixels outside of the layer's data window.
     pub(crate) outside: f32,
     pub(crate) unit: Option<Unit>,
+    /// The alphas by which the stored values are to be multiplied; `None` for values that are as they should be.
+    pub(crate) alphas: Option<Alphas>,
+}
+
+/// Alphas of straight colours.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Alphas {
+    pub(crate) mean: Planes,
+    /// Alpha of half A; `None` takes that of the mean.
+    pub(crate) half_a: Option<Planes>,
+    /// Alpha of half B; `None` takes that of the mean.
+    pub(crate) half_b: Option<Planes>,
 }
 
 impl SignalSource {
+    /// Returns the source of a mean without noise, multiplied by its alpha.
+    pub(crate) fn new(mean: Planes) -> Self {
+        Self { mean, half_a: None, half_b: None, variance: None, miss: None, outside: 0.0, unit: None, alphas: None }
+    }
+
     /// Returns all planes, the mean first.
     pub(crate) fn planes(&self) -> impl Iterator<Item = &Planes> {
         let variance = self.variance.as_ref();
@@ -67,6 +85,21 @@ impl SignalSource {
         std::iter::once(&self.mean)
             .chain([self.half_a.as_ref(), self.half_b.as_ref()].into_iter().chain(of_variance).flatten())
     }
+}
+
+/// A layer of the input that is filtered along with the colour, or an alpha in it.
+#[derive(Clone, Debug)]
+pub(crate) struct PayloadSource {
+    /// Name in frames and reports, which no other layer has.
+    pub(crate) name: String,
+    pub(crate) kind: PayloadKind,
+    pub(crate) signal: SignalSource,
+    /// The alpha that belongs to a light; `None` for an alpha and without one.
+    pub(crate) alpha: Option<Planes>,
+    /// Layers of the input with halves and variances, which do not belong to the denoised layer.
+    pub(crate) stale: Vec<usize>,
+    /// Whether straight values were multiplied by their alpha when seeds were merged.
+    pub(crate) is_converted: bool,
 }
 
 /// A picture: a colour with its features.
@@ -80,11 +113,37 @@ pub(crate) struct Picture {
     pub(crate) samples: SamplesPerPixel,
     /// The layer from which the samples are known, if it is one.
     pub(crate) samples_layer: Option<Planes>,
+    /// The layers that are filtered along with the colour. An alpha comes behind the lights that it belongs to.
+    pub(crate) payload: Vec<PayloadSource>,
+    /// The alpha of the colour in the input.
+    pub(crate) alpha: Option<Planes>,
+    /// Whether the files hold colours that are not multiplied by their alpha.
+    pub(crate) is_straight: bool,
+    /// Whether alpha stays as it was.
+    pub(crate) keeps_alpha: bool,
+    /// The pixels without hits, once the colour's samples are given away; `None` without an alpha.
+    pub(crate) empty: Option<Vec<bool>>,
 }
 
 impl Picture {
+    /// Returns the colour and the features.
     pub(crate) fn signals(&self) -> impl Iterator<Item = &SignalSource> {
         std::iter::once(&self.color).chain(self.features.iter().map(|(_, source)| source))
+    }
+
+    /// Returns the layers that are filtered along with the colour.
+    pub(crate) fn payload_signals(&self) -> impl Iterator<Item = &SignalSource> {
+        self.payload.iter().map(|source| &source.signal)
+    }
+
+    /// Whether a layer tells the noise of one that is filtered along with the colour.
+    pub(crate) fn is_stale(&self, id: LayerId) -> bool {
+        id.file == 0 && self.payload.iter().any(|source| source.stale.contains(&id.layer))
+    }
+
+    /// Whether a layer is filtered along with the colour.
+    pub(crate) fn is_payload(&self, id: LayerId) -> bool {
+        self.payload_signals().any(|signal| signal.mean.id() == id)
     }
 }
 
@@ -145,13 +204,26 @@ pub(crate) fn settled_from<E>(
                 all.filter(|value| **value == unknown).for_each(|value| *value = UNKNOWN);
             }
             to_variance_of_mean(&mut values, variance.quantity, mean.as_ref(), samples);
+            if let Some(alphas) = &source.alphas {
+                alpha::multiply_variance(&mut values, &planes(&alphas.mean, 0.0)?.planes[0]);
+            }
             Some(values)
         }
     };
+    let of_mean = source.alphas.as_ref().map(|alphas| &alphas.mean);
+    let mut image = |wanted: &Planes, of_half: Option<&Planes>| {
+        let mut image = planes(wanted, source.outside)?;
+        if let Some(alpha) = of_half.or(of_mean) {
+            alpha::multiply(&mut image, &planes(alpha, 0.0)?.planes[0]);
+        }
+        Ok(image)
+    };
+    let [of_a, of_b] =
+        source.alphas.as_ref().map_or([None; 2], |alphas| [alphas.half_a.as_ref(), alphas.half_b.as_ref()]);
     let mut signal = RawSignal {
-        mean: planes(&source.mean, source.outside)?,
-        half_a: source.half_a.as_ref().map(|half| planes(half, source.outside)).transpose()?,
-        half_b: source.half_b.as_ref().map(|half| planes(half, source.outside)).transpose()?,
+        mean: image(&source.mean, None)?,
+        half_a: source.half_a.as_ref().map(|half| image(half, of_a)).transpose()?,
+        half_b: source.half_b.as_ref().map(|half| image(half, of_b)).transpose()?,
         variance_of_mean,
     };
     let unknown = source.variance.as_ref().and_then(|variance| variance.unknown);
@@ -176,10 +248,17 @@ pub(crate) fn aligned(image: Image, own: Window, window: Window, outside: f32) -
     if own == window {
         return image;
     }
-    let mut planes = vec![vec![outside; window.extent.pixels()]; image.planes.len()];
+    let planes = vec![vec![outside; window.extent.pixels()]; image.planes.len()];
+    let mut aligned = Image { extent: window.extent, planes };
+    overlay(&mut aligned, window, &image, own);
+    aligned
+}
+
+/// Replaces the pixels of `image`, whose data window is `window`, that `other` has in its data window `own`.
+pub(crate) fn overlay(image: &mut Image, window: Window, other: &Image, own: Window) {
     let (width, own_width) = (i64::from(window.extent.width), i64::from(own.extent.width));
     let (right, down) = (i64::from(own.x) - i64::from(window.x), i64::from(own.y) - i64::from(window.y));
-    // The columns of the window that the image covers.
+    // The columns of the window that the other image covers.
     let (first, last) = (right.clamp(0, width), (right + own_width).clamp(0, width));
     for y in 0..i64::from(window.extent.height) {
         let own_y = y - down;
@@ -188,11 +267,10 @@ pub(crate) fn aligned(image: Image, own: Window, window: Window, outside: f32) -
         }
         let to = (y * width + first) as usize..(y * width + last) as usize;
         let from = (own_y * own_width + first - right) as usize..(own_y * own_width + last - right) as usize;
-        for (plane, source) in planes.iter_mut().zip(&image.planes) {
+        for (plane, source) in image.planes.iter_mut().zip(&other.planes) {
             plane[to.clone()].copy_from_slice(&source[from.clone()]);
         }
     }
-    Image { extent: window.extent, planes }
 }
 
 /// Whether `own` covers all of `window`.
@@ -209,10 +287,21 @@ pub(crate) fn overlap(a: Window, b: Window) -> u64 {
     side(a.x, a.extent.width, b.x, b.extent.width) * side(a.y, a.extent.height, b.y, b.extent.height)
 }
 
+/// Returns part and channels in another file of the layer of the same name; `None` if a channel is not there.
+pub(crate) fn same_layer(own: &ExrFile, other: &ExrFile, planes: &Planes) -> Option<(usize, Vec<usize>)> {
+    let layer = &own.layers[planes.layer];
+    let found = other.layers.iter().find(|candidate| candidate.name == layer.name)?;
+    let channel = |index: &usize| {
+        let letter = layer.channels.iter().find(|channel| channel.index == *index)?.letter();
+        found.channel(letter)
+    };
+    Some((found.part, planes.channels.iter().map(channel).collect::<Option<_>>()?))
+}
+
 /// Returns the cause if a part of `other` has another resolution than the picture `window` of `own`. Files without
 /// windows show the whole picture or its crop.
 pub(crate) fn other_resolution(own: &ExrFile, window: Window, other: &ExrFile, part: usize) -> Option<LayerCause> {
-    let (expected, found) = match own.has_windows && other.has_windows {
+    let (expected, found) = match own.has_windows() && other.has_windows() {
         true => (own.display_window(), other.display_window()),
         false => (window, other.data_window(part)),
     };
@@ -224,7 +313,7 @@ pub(crate) fn other_resolution(own: &ExrFile, window: Window, other: &ExrFile, p
 /// show the same pixels if they have the same extent.
 pub(crate) fn window_of(file: &ExrFile, part: usize, picture: Window) -> Window {
     let own = file.data_window(part);
-    if !file.has_windows && own.extent == picture.extent { picture } else { own }
+    if !file.has_windows() && own.extent == picture.extent { picture } else { own }
 }
 
 #[cfg(test)]

@@ -105,7 +105,17 @@ pub(crate) fn layer_uses(set: &BufferSet, classified: &[Classified], rules: &[Ru
                     Role::Untouched => *quantity == Quantity::NotAVariance,
                     _ => false,
                 });
-                found.note = found.note.or_else(|| rule.and_then(|rule| rule.why.clone()));
+                if let Some(picture) = set.pictures.iter().position(|picture| picture.is_payload(id)) {
+                    (found.picture, found.is_along) = (Some(picture), true);
+                    found.role = if found.role == Role::Alpha { Role::Alpha } else { Role::Light };
+                }
+                if let Some(picture) = set.pictures.iter().position(|picture| picture.is_stale(id)) {
+                    found.picture = Some(picture);
+                    found.note = Some("left out of an output: the noise of a layer that is denoised along".into());
+                }
+                // The reason why a layer is not used is none where a request wants it.
+                let why = rule.filter(|_| !found.is_along).and_then(|rule| rule.why.clone());
+                found.note = found.note.or(why);
             }
             uses.push(found);
         }
@@ -121,6 +131,7 @@ fn layer_use(file: &ExrFile, layer: &FileLayer, used: Option<&Used>, note: Optio
         sample_kind: sample_kind(file, layer),
         role: used.map_or(Role::Untouched, |used| used.role.clone()),
         picture: used.map(|used| used.picture),
+        is_along: false,
         quantity: used.and_then(|used| used.quantity),
         unit: used.and_then(|used| used.unit),
         non_finite_values: file.non_finite_values(layer),

@@ -47,6 +47,16 @@ pub struct DenoisedLayers<'a> {
     pub attributes: &'a [(String, String)],
 }
 
+/// Channels of the input that an output replaces by planes in the data window of their part.
+pub(crate) struct ReplacedChannels {
+    /// Name of the layer, for messages.
+    pub(crate) layer: String,
+    pub(crate) part: usize,
+    /// Positions in the part's list of channels, one for each plane.
+    pub(crate) channels: Vec<usize>,
+    pub(crate) image: Image,
+}
+
 /// Values and layers that could not be written as they were.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct WriteReport {
@@ -95,16 +105,22 @@ impl std::fmt::Display for WriteReport {
 /// [`Error::Layer`] for images of another extent or number of channels than the layers that they replace, and for extra
 /// layers that exist already; [`Error::Request`] for replacements of layers that do not exist; [`Error::File`] for
 /// errors of the file system.
-pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'_>) -> Result<WriteReport> {
-    write_pictures(set, output, std::slice::from_ref(denoised))
+pub fn write_denoised(mut set: BufferSet, output: &Path, denoised: &DenoisedLayers<'_>) -> Result<WriteReport> {
+    set.restore_payload(|_, _| true)?;
+    write_pictures(set, output, std::slice::from_ref(denoised), Vec::new())
 }
 
-/// Writes as [`write_denoised`] does, with the layers of the set's pictures in their order. Pictures behind the last
-/// one given stay as they were.
+/// Writes as [`write_denoised`] does, with the layers of the set's pictures in their order, and with other channels.
+/// Pictures behind the last one given stay as they were.
 ///
 /// # Errors
 /// As [`write_denoised`].
-pub(crate) fn write_pictures(set: BufferSet, output: &Path, denoised: &[DenoisedLayers<'_>]) -> Result<WriteReport> {
+pub(crate) fn write_pictures(
+    set: BufferSet,
+    output: &Path,
+    denoised: &[DenoisedLayers<'_>],
+    others: Vec<ReplacedChannels>,
+) -> Result<WriteReport> {
     let places: Vec<(usize, Extent)> =
         (0..set.pictures.len()).map(|index| (set.color_part(index), set.data_window_of(index).extent)).collect();
     let BufferSet { files, pictures, .. } = set;
@@ -134,6 +150,11 @@ pub(crate) fn write_pictures(set: BufferSet, output: &Path, denoised: &[Denoised
             let replacement = luminance.as_ref().unwrap_or(replacement);
             writer.replace(&mut image, layer.part, &channels, *extent, replacement, name)?;
         }
+    }
+    for ReplacedChannels { layer, part, channels, image: planes } in others {
+        let size = image.layer_data[part].size;
+        let extent = Extent { width: size.0 as u32, height: size.1 as u32 };
+        writer.replace(&mut image, part, &channels, extent, &planes, &layer)?;
     }
     writer.store_as_before(&mut image);
     // Removes layers before others are added: layers know their channels by their positions in the input.

@@ -1,11 +1,13 @@
 //! Features.
 
+use super::payload::aovs_name;
 use super::{Companions, Files, LeftOut};
 use super::{main_layer, named_layer};
 use crate::classify::{Classified, LayerId, Meaning, Rank, is_whole_numbers};
 use crate::layer_ref::LayerRef;
 use crate::layers::FileLayer;
 use crate::layout::{Quantity, RoleName};
+use crate::names::ends_with;
 use crate::request::BufferSetRequest;
 use crate::source::{self, Picture, Planes, SignalSource};
 use crate::uses::Note;
@@ -88,14 +90,11 @@ impl Files {
     fn feature_source(&self, mean: Planes, name: &str, id: LayerId) -> SignalSource {
         let is_distance = FeatureKind::from_name(name) == FeatureKind::Distance;
         SignalSource {
-            mean,
-            half_a: None,
-            half_b: None,
-            variance: None,
             miss: self.rule(id).and_then(|rule| rule.miss),
             // Outside of a cropped layer, no ray hit anything.
             outside: if is_distance { f32::INFINITY } else { 0.0 },
             unit: self.rule(id).and_then(|rule| rule.unit),
+            ..SignalSource::new(mean)
         }
     }
 
@@ -114,6 +113,8 @@ impl Files {
         let mut candidates: Vec<FeatureCandidate> = self
             .ids()
             .filter(|id| !of_color.contains(id))
+            // What is denoised along on request is no feature that its noise alone makes one.
+            .filter(|id| self.meaning(*id).is_some() || !aovs_name(&request.aovs, &self.layer(*id).name))
             .filter_map(|id| self.feature_candidate(id, picture))
             .collect();
         let is_named = |skip: &str, candidate: &FeatureCandidate| {
@@ -291,11 +292,6 @@ impl Files {
         };
         self.classified.iter().enumerate().flat_map(of_file).collect()
     }
-}
-
-/// Whether `end` is a layer's whole name, or the part behind one of its dots.
-fn ends_with(name: &str, end: &str) -> bool {
-    name.strip_suffix(end).is_some_and(|before| before.is_empty() || before.ends_with('.'))
 }
 
 /// A layer that may be a feature of a picture.

@@ -1,0 +1,125 @@
+//! Alpha: colours to and from their products with alpha, and pixels in which no ray hit anything.
+
+use std::borrow::Cow;
+
+use stein::frame::{FeatureKind, RawSignal};
+use stein::image::Image;
+
+/// Multiplies colours by alpha, which counts as 0 to 1. Where it is 0, the product is 0 whatever the colour is.
+pub(crate) fn multiply(image: &mut Image, alpha: &[f32]) {
+    image.planes.iter_mut().for_each(|plane| multiply_plane(plane, alpha));
+}
+
+/// Multiplies a plane as [`multiply`] does.
+pub(crate) fn multiply_plane(plane: &mut [f32], alpha: &[f32]) {
+    scale(plane, alpha, |alpha| alpha);
+}
+
+/// Multiplies the variances of colours by the square of alpha.
+pub(crate) fn multiply_variance(image: &mut Image, alpha: &[f32]) {
+    image.planes.iter_mut().for_each(|plane| multiply_variance_plane(plane, alpha));
+}
+
+/// Multiplies a plane as [`multiply_variance`] does.
+pub(crate) fn multiply_variance_plane(plane: &mut [f32], alpha: &[f32]) {
+    scale(plane, alpha, |alpha| alpha * alpha);
+}
+
+fn scale(plane: &mut [f32], alpha: &[f32], factor: impl Fn(f32) -> f32) {
+    for (value, alpha) in plane.iter_mut().zip(alpha) {
+        // The value may be anything where alpha is 0. An alpha that is NaN damages the pixel.
+        *value = if *alpha <= 0.0 { 0.0 } else { *value * factor(alpha.clamp(0.0, 1.0)) };
+    }
+}
+
+/// Returns the pixels without hits: alpha and the colour, multiplied by it, are 0 in the mean and in both halves.
+pub(crate) fn empty_pixels(color: &RawSignal, alpha: &[f32]) -> Vec<bool> {
+    let mut empty: Vec<bool> = alpha.iter().map(|alpha| *alpha <= 0.0).collect();
+    let images = [Some(&color.mean), color.half_a.as_ref(), color.half_b.as_ref()].into_iter().flatten();
+    for plane in images.flat_map(|image| &image.planes) {
+        empty.iter_mut().zip(plane).for_each(|(empty, value)| *empty &= *value == 0.0);
+    }
+    empty
+}
+
+/// Makes the pixels without hits of a feature such: a distance or position is infinite, everything else is 0, without
+/// noise.
+pub(crate) fn leave_without_hits(name: &str, feature: &mut RawSignal, empty: &[bool]) {
+    let is_distance = FeatureKind::from_name(name) == FeatureKind::Distance;
+    let fill = |image: &mut Image, with: f32| {
+        for plane in &mut image.planes {
+            plane.iter_mut().zip(empty).filter(|(_, empty)| **empty).for_each(|(value, _)| *value = with);
+        }
+    };
+    fill(&mut feature.mean, if is_distance { f32::INFINITY } else { 0.0 });
+    // Equal halves have no noise, also where the mean is a miss.
+    let noise = [&mut feature.half_a, &mut feature.half_b, &mut feature.variance_of_mean];
+    noise.into_iter().flatten().for_each(|image| fill(image, 0.0));
+}
+
+/// Returns a colour that is 0 in the pixels without hits whose alpha is 0 in the output, too.
+pub(crate) fn without_fringe<'a>(mut image: Cow<'a, Image>, alpha: &[f32], empty: &[bool]) -> Cow<'a, Image> {
+    for (pixel, _) in empty.iter().zip(alpha).enumerate().filter(|(_, (empty, alpha))| **empty && **alpha == 0.0) {
+        if image.planes.iter().any(|plane| plane[pixel] != 0.0) {
+            image.to_mut().planes.iter_mut().for_each(|plane| plane[pixel] = 0.0);
+        }
+    }
+    image
+}
+
+/// Returns colours divided by their alpha, which is 0 to 1; 0 where alpha is 0.
+pub(crate) fn divided(image: &Image, alpha: &[f32]) -> Image {
+    let divided = |plane: &Vec<f32>| {
+        let pixels = plane.iter().zip(alpha);
+        pixels.map(|(value, alpha)| if *alpha > 0.0 { value / alpha } else { 0.0 }).collect()
+    };
+    Image { extent: image.extent, planes: image.planes.iter().map(divided).collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use stein::image::Extent;
+
+    use super::*;
+
+    fn image(values: &[f32]) -> Image {
+        Image { extent: Extent { width: values.len() as u32, height: 1 }, planes: vec![values.to_vec()] }
+    }
+
+    #[test]
+    fn colours_are_multiplied_by_alpha_and_divided_again() {
+        let alpha = [0.5, 0.0, -1.0, 2.0];
+        let mut colour = image(&[3.0, f32::NAN, f32::INFINITY, 4.0]);
+        multiply(&mut colour, &alpha);
+        assert_eq!(colour.planes[0], [1.5, 0.0, 0.0, 4.0]);
+        assert_eq!(divided(&colour, &[0.5, 0.0, 0.0, 1.0]).planes[0], [3.0, 0.0, 0.0, 4.0]);
+        let mut variance = image(&[8.0, f32::NAN]);
+        multiply_variance(&mut variance, &alpha);
+        assert_eq!(variance.planes[0], [2.0, 0.0]);
+    }
+
+    #[test]
+    fn pixels_without_hits_are_misses_and_have_no_noise() {
+        let color = RawSignal {
+            mean: image(&[0.0, 0.0, 1.0]),
+            half_a: Some(image(&[0.0, 1.0, 1.0])),
+            half_b: None,
+            variance_of_mean: None,
+        };
+        let empty = empty_pixels(&color, &[0.0; 3]);
+        assert_eq!(empty, [true, false, false]);
+        let feature = RawSignal {
+            mean: image(&[5.0; 3]),
+            half_a: Some(image(&[4.0; 3])),
+            half_b: Some(image(&[6.0; 3])),
+            variance_of_mean: Some(image(&[1.0; 3])),
+        };
+        for (name, miss) in [("depth", f32::INFINITY), ("albedo", 0.0)] {
+            let mut feature = feature.clone();
+            leave_without_hits(name, &mut feature, &empty);
+            assert_eq!(feature.mean.planes[0], [miss, 5.0, 5.0]);
+            assert_eq!(feature.variance_of_mean.map(|image| image.planes[0].clone()), Some(vec![0.0, 1.0, 1.0]));
+            assert_eq!(feature.half_a.map(|image| image.planes[0][0]), feature.half_b.map(|image| image.planes[0][0]));
+        }
+    }
+}
