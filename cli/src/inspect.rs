@@ -240,8 +240,7 @@ impl Picture {
         }
     }
 
-    /// Whether the picture of another frame has the same size, the same layers denoised along, the same sources of noise
-    /// and the same repairs.
+    /// Whether the picture of another frame has the same size, layers denoised along, sources of noise and repairs.
     fn is_used_like(&self, other: &Self) -> bool {
         if (self.width, self.height, &self.along) != (other.width, other.height, &other.along) {
             return false;

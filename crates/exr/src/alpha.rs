@@ -27,7 +27,8 @@ pub(crate) fn multiply_variance_plane(plane: &mut [f32], alpha: &[f32]) {
 
 fn scale(plane: &mut [f32], alpha: &[f32], factor: impl Fn(f32) -> f32) {
     for (value, alpha) in plane.iter_mut().zip(alpha) {
-        // The value may be anything where alpha is 0. An alpha that is NaN damages the pixel.
+        // Where alpha is 0, the stored value may be anything, also NaN. An alpha of NaN makes the product NaN, so that
+        // the pixel is repaired.
         *value = if *alpha <= 0.0 { 0.0 } else { *value * factor(alpha.clamp(0.0, 1.0)) };
     }
 }
@@ -42,8 +43,8 @@ pub(crate) fn empty_pixels(color: &RawSignal, alpha: &[f32]) -> Vec<bool> {
     empty
 }
 
-/// Makes the pixels without hits of a feature such: a distance or position is infinite, everything else is 0, without
-/// noise.
+/// Replaces the values of a feature in the pixels without hits: a distance or position becomes infinite, everything
+/// else 0, without noise.
 pub(crate) fn leave_without_hits(name: &str, feature: &mut RawSignal, empty: &[bool]) {
     let is_distance = FeatureKind::from_name(name) == FeatureKind::Distance;
     let fill = |image: &mut Image, with: f32| {

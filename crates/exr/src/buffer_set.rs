@@ -493,8 +493,8 @@ impl BufferSet {
         self.channels_of_others(planes)
     }
 
-    /// Returns the channels of `planes`, which belong to a layer that is denoised along, whose stored samples are needed
-    /// again: something else is made of them, or an output does not replace all of them.
+    /// Returns the channels of `planes`, which belong to a layer that is denoised along, whose stored samples are
+    /// needed again: something else is made of them, or an output does not replace all of them.
     fn payload_needed_again(&self, picture: usize, index: usize, planes: &Planes) -> Vec<usize> {
         let source = &self.pictures[picture].payload[index];
         let window = self.data_window_of(picture);

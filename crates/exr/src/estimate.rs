@@ -43,10 +43,10 @@ pub struct Written {
 }
 
 /// Writes the input with its colour and halves and the layers that were denoised along replaced by those of the
-/// estimate, and without its variance, which does not belong to the denoised colour. Straight colours are divided by the
-/// denoised alpha. Layers that no filter changed stay as they were, to the bit. Adds the estimated error, if there is one, as `stein.error`, and the
-/// [`Estimate::layers`] of the intermediates in `keep` as `stein.*`. `set` is the set that the frame was made of, and
-/// is used up; `method` is noted in the header.
+/// estimate, and without its variance, which does not belong to the denoised colour. Straight colours are divided by
+/// the denoised alpha. Layers that no filter changed stay as they were, to the bit. Adds the estimated error, if there
+/// is one, as `stein.error`, and the [`Estimate::layers`] of the intermediates in `keep` as `stein.*`. `set` is the set
+/// that the frame was made of, and is used up; `method` is noted in the header.
 ///
 /// An output whose name ends in `.pfm` or `.png` holds the colour and its alpha alone.
 ///
@@ -225,7 +225,7 @@ fn restore_unchanged(set: &mut BufferSet, estimates: &[Estimate]) -> Result<()> 
     })
 }
 
-/// The form in which an output of a picture holds its denoised layers.
+/// Converts denoised layers of a picture to the form in which its input stores them.
 struct Form<'a> {
     set: &'a BufferSet,
     picture: usize,

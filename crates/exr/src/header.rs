@@ -38,8 +38,8 @@ impl Trouble {
     pub(crate) fn deep() -> Self {
         Self::with(
             "holds deep data, that is many samples per pixel at different depths",
-            "as a flat image as well, or flatten it first (`oiiotool deep.exr --flatten -o flat.exr`): deep compositing \
-             is out of scope",
+            "as a flat image as well, or flatten it first (`oiiotool deep.exr --flatten -o flat.exr`): deep \
+             compositing is out of scope",
         )
     }
 

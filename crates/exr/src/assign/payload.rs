@@ -205,8 +205,8 @@ impl Files {
         self.light_channels(id).is_none().then_some("it has no channels R, G and B, nor a luminance Y")
     }
 
-    /// Returns the channels of a light without its alpha: red, green and blue, or a luminance. A layer that a rule calls
-    /// a light may have a single channel of any name.
+    /// Returns the channels of a light without its alpha: red, green and blue, or a luminance. A layer that a rule
+    /// calls a light may have a single channel of any name.
     fn light_channels(&self, id: LayerId) -> Option<Vec<usize>> {
         let layer = self.layer(id);
         if let (Some(r), Some(g), Some(b)) = (layer.channel("R"), layer.channel("G"), layer.channel("B")) {
