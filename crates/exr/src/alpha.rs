@@ -2,8 +2,35 @@
 
 use std::borrow::Cow;
 
-use stein::frame::{FeatureKind, RawSignal};
+use stein::frame::{FeatureKind, RawSignal, SamplesPerPixel};
 use stein::image::Image;
+
+/// Name of the feature that alpha is.
+pub(crate) const ALPHA: &str = "alpha";
+
+/// Returns alpha as a feature, which separates what a ray may hit from what it may miss; `None` if it is the same
+/// everywhere, or if nothing tells its noise. Its halves do; so does the number of samples: the variance of the mean of
+/// n numbers from 0 to 1 is at most α(1 − α)/n.
+pub(crate) fn feature(alpha: &RawSignal, samples: &SamplesPerPixel) -> Option<RawSignal> {
+    let mut alpha = alpha.clone();
+    let all = [Some(&mut alpha.mean), alpha.half_a.as_mut(), alpha.half_b.as_mut()].into_iter().flatten();
+    all.flat_map(|image| &mut image.planes).flatten().for_each(|alpha| *alpha = alpha.clamp(0.0, 1.0));
+    let plane = alpha.mean.planes.first()?;
+    if plane.iter().all(|alpha| *alpha == plane[0]) {
+        return None;
+    }
+    if alpha.half_a.is_none() || alpha.half_b.is_none() {
+        let count = |pixel: usize| match samples {
+            SamplesPerPixel::Unknown => None,
+            SamplesPerPixel::Uniform(count) => Some(*count),
+            SamplesPerPixel::PerPixel(counts) => Some(counts.planes[0][pixel]),
+        };
+        let variance = plane.iter().enumerate().map(|(pixel, alpha)| Some(alpha * (1.0 - alpha) / count(pixel)?));
+        let planes = vec![variance.collect::<Option<_>>()?];
+        alpha.variance_of_mean = Some(Image { extent: alpha.mean.extent, planes });
+    }
+    Some(alpha)
+}
 
 /// Multiplies colours by alpha, which counts as 0 to 1. Where it is 0, the product is 0 whatever the colour is.
 pub(crate) fn multiply(image: &mut Image, alpha: &[f32]) {
@@ -97,6 +124,20 @@ mod tests {
         let mut variance = image(&[8.0, f32::NAN]);
         multiply_variance(&mut variance, &alpha);
         assert_eq!(variance.planes[0], [2.0, 0.0]);
+    }
+
+    #[test]
+    fn alpha_is_a_feature_if_its_noise_is_known() {
+        let alpha = RawSignal { mean: image(&[0.5, 2.0, 0.0]), half_a: None, half_b: None, variance_of_mean: None };
+        assert_eq!(feature(&alpha, &SamplesPerPixel::Unknown), None);
+        let known = feature(&alpha, &SamplesPerPixel::Uniform(4.0)).expect("the number of samples tells its noise");
+        assert_eq!(known.mean.planes[0], [0.5, 1.0, 0.0]);
+        assert_eq!(known.variance_of_mean.map(|image| image.planes[0].clone()), Some(vec![0.0625, 0.0, 0.0]));
+        let halves = RawSignal { half_a: Some(image(&[0.0; 3])), half_b: Some(image(&[1.0; 3])), ..alpha.clone() };
+        let known = feature(&halves, &SamplesPerPixel::Unknown).expect("its halves tell its noise");
+        assert!(known.half_a.is_some() && known.variance_of_mean.is_none());
+        let opaque = RawSignal { mean: image(&[1.0; 3]), ..alpha };
+        assert_eq!(feature(&opaque, &SamplesPerPixel::Uniform(4.0)), None);
     }
 
     #[test]

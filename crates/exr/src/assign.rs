@@ -252,6 +252,7 @@ impl Files {
             alpha: None,
             is_straight: false,
             keeps_alpha: false,
+            alpha_guides: false,
             empty: None,
         }
     }

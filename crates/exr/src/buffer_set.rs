@@ -329,7 +329,11 @@ impl BufferSet {
             }
             (name.to_owned(), raw)
         });
-        let samples = self.pictures[picture].samples.clone();
+        let own = &self.pictures[picture];
+        let samples = own.samples.clone();
+        let alpha = own.own_alpha().filter(|_| own.alpha_guides).map(|source| self.raw(picture, &source.signal));
+        let alpha = alpha.and_then(|alpha| alpha::feature(&alpha, &samples));
+        let features = features.chain(alpha.map(|alpha| (alpha::ALPHA.to_owned(), alpha)));
         let (frame, mut repairs) = Frame::from_raw(color, features, samples)?;
         repairs.notes.splice(0..0, self.notes.iter().cloned());
         Ok((frame, repairs))
@@ -457,8 +461,8 @@ impl BufferSet {
         let one_layer = payload.iter().map(|source| count(&source.signal.half_a) + let_go(&source.signal)).max();
         let with_payload = kept(color) + all_features + count(samples_layer) + along + one_layer.unwrap_or(0);
         let with_payload = (4 * with_payload).saturating_sub(stored);
-        // Adds the marks for the repair of pixels and for pixels without hits, and a copy of alpha.
-        let marks = STATE_BYTES + alpha.as_ref().map_or(0, |_| 5);
+        // Adds the marks for the repair of pixels and for pixels without hits, a copy of alpha, and alpha as a feature.
+        let marks = STATE_BYTES + alpha.as_ref().map_or(0, |_| 5 + 12);
         let needed = pixels * (while_color.max(with_features).max(with_payload) + marks);
         FreeMemory::now().check(needed).map_err(|shortage| self.no_memory(shortage))
     }

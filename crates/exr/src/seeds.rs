@@ -7,7 +7,7 @@ use std::rc::Rc;
 
 use rayon::prelude::*;
 use stein::error::{Error, FileCause, LayerCause, RequestCause, Result};
-use stein::frame::{SamplesPerPixel, variance_from_image};
+use stein::frame::{PayloadKind, SamplesPerPixel, variance_from_image};
 use stein::image::{Extent, Image, Window};
 use stein::text;
 
@@ -19,7 +19,7 @@ use crate::file::ExrFile;
 use crate::layout::{Layout, Quantity, RoleName, Rule};
 use crate::request::BufferSetRequest;
 use crate::siblings;
-use crate::source::{self, Planes, VarianceSource};
+use crate::source::{self, PayloadSource, Planes, VarianceSource};
 
 /// Header attributes that differ between frames and cameras, but not between seeds.
 const OF_ONE_FRAME: [&str; 5] = ["Frame", "Camera", "Scene", "frame", "camera"];
@@ -602,7 +602,8 @@ impl<'a> Merger<'a> {
             let weights = self.weights(set, &picture.scope, part);
             let color = std::iter::once((&mut picture.color, "colour".to_owned()));
             let features = picture.features.iter_mut().map(|(name, it)| (it, format!("feature {}", text::name(name))));
-            let payload = picture.payload.iter_mut().filter(|_| self.request.payload_halves);
+            let has_halves = |it: &PayloadSource| self.request.payload_halves || it.kind == PayloadKind::Alpha;
+            let payload = picture.payload.iter_mut().filter(|it| has_halves(it));
             let payload = payload.map(|it| (&mut it.signal, format!("layer {}", text::name(&it.name))));
             for (source, name) in color.chain(features).chain(payload) {
                 // The input's own halves are halves of one seed.

@@ -121,6 +121,8 @@ pub(crate) struct Picture {
     pub(crate) is_straight: bool,
     /// Whether alpha stays as it was.
     pub(crate) keeps_alpha: bool,
+    /// Whether alpha is a feature, too, if its noise is known.
+    pub(crate) alpha_guides: bool,
     /// The pixels without hits, once the colour's samples are given away; `None` without an alpha.
     pub(crate) empty: Option<Vec<bool>>,
 }
@@ -134,6 +136,12 @@ impl Picture {
     /// Returns the layers that are filtered along with the colour.
     pub(crate) fn payload_signals(&self) -> impl Iterator<Item = &SignalSource> {
         self.payload.iter().map(|source| &source.signal)
+    }
+
+    /// Returns the alpha of the colour as a layer that is filtered along.
+    pub(crate) fn own_alpha(&self) -> Option<&PayloadSource> {
+        let is_own = |source: &&PayloadSource| self.alpha.as_ref() == Some(&source.signal.mean);
+        self.payload.iter().filter(|source| source.kind == PayloadKind::Alpha).find(is_own)
     }
 
     /// Whether a layer tells the noise of one that is filtered along with the colour.

@@ -2,6 +2,7 @@
 
 use super::{Companions, Files, LeftOut};
 use crate::along::{AlphaEncoding, Aovs, is_named};
+use crate::alpha::ALPHA;
 use crate::classify::{LayerId, is_whole_numbers};
 use crate::estimate::PREFIX;
 use crate::layers::FileLayer;
@@ -34,6 +35,11 @@ impl Files {
         let alphas: Vec<LayerId> = self.ids().filter(|id| self.is_alpha(*id, picture)).collect();
         picture.alpha = self.alpha_in(own).or_else(|| alphas.first().map(|id| self.all_channels(*id)));
         picture.keeps_alpha = request.no_alpha;
+        let is_skipped = request.skip_features.iter().any(|skip| skip == ALPHA);
+        if is_skipped && picture.alpha.is_some() {
+            self.skipped.push(ALPHA.into());
+        }
+        picture.alpha_guides = !request.no_alpha && !request.no_features && !is_skipped;
         picture.is_straight = encoding == AlphaEncoding::Straight && picture.alpha.is_some();
         let mut found = Vec::new();
         for id in self.ids().filter(|id| self.is_along(*id, picture, &request.aovs)) {
@@ -97,7 +103,7 @@ impl Files {
         let stale = self.ids().filter(|other| other.file == 0 && !is_of_color && self.is_noise_of(*other, id));
         let stale = stale.map(|other| other.layer).collect();
         let mut signal = SignalSource::new(mean);
-        if request.payload_halves {
+        if request.payload_halves || kind == PayloadKind::Alpha {
             let mut found = Companions::default();
             let window = self.window(&color.mean);
             found.add(self, &signal.mean, &picture.samples, window, |other, meaning| {
