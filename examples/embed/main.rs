@@ -83,6 +83,7 @@ impl Rendered {
             }],
             samples: GpuSamples::Uniform(2.0 * SAMPLES as f32),
             mean_variance: None,
+            payload: Vec::new(),
         })
     }
 }

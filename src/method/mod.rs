@@ -29,6 +29,7 @@ use crate::gpu::{Gpu, Recorder, Run};
 use crate::parameters::choices;
 use crate::stage::frames::Frames;
 use crate::stage::nlm::Schedule;
+use crate::stage::payload::MOST_PLANES;
 use kernels::KernelOnGpu;
 use noise::Pooling;
 
@@ -302,6 +303,12 @@ impl Method {
         let shape = |frame: &FrameInput| (frame.extent, frame.color.has_halves, channels(frame), groups(frame));
         if frames.beside.iter().any(|other| shape(other) != shape(&frames.own)) {
             return Err(Error::Request(RequestCause::FrameShape));
+        }
+        if groups(&frames.own).iter().any(|planes| !(1..=MOST_PLANES).contains(planes)) {
+            return Err(Error::Request(RequestCause::Misuse {
+                problem: format!("a group of the payload does not have 1 to {MOST_PLANES} planes"),
+                change: "split it into groups of up to 4 planes",
+            }));
         }
         match &plan.method {
             MethodPlan::Dfc(plan) => dfc::dfc(rec, frames, plan, schedule, progress),

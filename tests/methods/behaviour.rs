@@ -8,15 +8,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use glam::IVec2;
 use stein::error::{DeviceCause, Remedy};
 use stein::frame::FeatureKind;
-use stein::frame::Signal;
+use stein::frame::{PayloadKind, PayloadLayer, Signal};
 use stein::gpu::{Gpu, GpuOptions, Pace};
 use stein::image::Extent;
-use stein::method::{GpuFeature, GpuFrame, GpuSignal, Intermediate, Spikes};
+use stein::method::{GpuFeature, GpuFrame, GpuPayload, GpuSignal, Intermediate, Spikes};
 use stein::stage::nlm::Schedule;
+use stein::stage::payload::PayloadGroup;
 use stein::stage::sample::GpuSamples;
 use stein::{Denoiser, DfcParams, Error, Estimate, Frame, Image, Options};
 
-use crate::common::{Scene, calm_scene, gpu, limited_gpu, open, packed, packed_signal, scene};
+use crate::common::{Scene, calm_scene, gpu, limited_gpu, open, packed, packed_signal, read, scene};
 use crate::frames::{EVERYTHING, Keep, error_of, frame, new_frame, noisy};
 use crate::reference::{Grid, Planes};
 
@@ -233,6 +234,16 @@ fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
         variance_of_mean: Some(image(&color.variance)),
     };
     let frame = new_frame(signal(&color_mean), vec![("paint".into(), signal(&paint_mean))]);
+    // A layer of three channels, and a number that finds room beside them.
+    let numbers = &paint_mean[..1];
+    let layers = [("light", &color_mean[..]), ("number", numbers)];
+    let layers = layers.map(|(name, mean)| PayloadLayer {
+        name: name.into(),
+        kind: PayloadKind::Light,
+        mean: image(mean),
+        half_spread: None,
+    });
+    let (frame, _) = frame.with_payload(layers.into()).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(
         (frame.features()[0].unit_scale, frame.features()[0].unit_offset),
         (1.0, 0.0),
@@ -269,7 +280,13 @@ fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
         features,
         samples: GpuSamples::Uniform(1.0),
         mean_variance: None,
-        payload: Vec::new(),
+        payload: vec![GpuPayload {
+            mean: PayloadGroup {
+                buffer: Arc::new(own(&packed(&[color_mean.as_slice(), numbers].concat()))),
+                planes: 1,
+            },
+            half_spread: None,
+        }],
     };
     let mut rec = gpu.record_whole();
     let estimate = denoiser.record(&mut rec, gpu_frame, Vec::new()).unwrap_or_else(|error| panic!("{error}"));
@@ -293,6 +310,12 @@ fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
                 pixel / 45
             );
         }
+    }
+    let layers = read(&gpu, &estimate.payload[0].buffer, IVec2::new(45, 31)).remove(0);
+    let expected = expected.payload.iter().flat_map(|layer| &layer.image.planes);
+    for (actual, expected) in layers.iter().zip(expected) {
+        let same = |(actual, expected): (&f64, &f32)| *actual == f64::from(*expected);
+        assert!(actual.values.iter().zip(expected).all(same), "the layers along");
     }
 }
 

@@ -5,8 +5,9 @@ use stein::error::RequestCause;
 use stein::frame::FeatureKind;
 use stein::frame::{SamplesPerPixel, Signal};
 use stein::gpu::{Gpu, GpuOptions, Recorder};
-use stein::method::{GpuFeature, GpuFrame, GpuSignal};
+use stein::method::{GpuFeature, GpuFrame, GpuPayload, GpuSignal};
 use stein::sampling::{SampleCounts, Sampler};
+use stein::stage::payload::PayloadGroup;
 use stein::stage::sample::GpuSamples;
 use stein::{Denoiser, DfcParams, Error, Estimate, Extent, Frame, GemParams, Image, Method, NlmParams, Options};
 use stein_metric as metric;
@@ -207,6 +208,16 @@ fn frames_on_the_gpu_that_do_not_fit_together_are_refused() {
             payload: Vec::new(),
         }
     };
+    // Groups of no planes, and of too many.
+    for planes in [0, 5] {
+        let mut rec = gpu().record_whole();
+        let mut own = frame(&mut rec, 2, true, 1);
+        let buffer = rec.upload("payload", &[0.5; 40]).unwrap_or_else(|error| panic!("{error}"));
+        let mean = PayloadGroup { buffer: buffer.into(), planes };
+        own.payload = vec![GpuPayload { mean, half_spread: None }];
+        let refused = denoiser(gpu()).record(&mut rec, own, Vec::new());
+        assert!(matches!(refused, Err(Error::Request { .. })), "{planes} planes");
+    }
     for (denoiser, width, has_halves, features, fits) in [
         (denoiser(gpu()), 2, true, 1, true),
         (denoiser(gpu()), 3, true, 1, false),

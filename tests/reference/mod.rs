@@ -8,7 +8,7 @@
 //! exposure    the unit that all of it is done in
 //! variance    what is known of the noise: scaled sample variances, two-buffer variances      8.2, 8.3
 //! noise       variances that no renderer gave, from two halves
-//! spike       what stands out on very few samples, and where it goes
+//! spike       what stands out on very few samples, and where it goes; the same pixels of a payload
 //! gaussian    averages, their variance, averages of a pixel's neighbours                      6.2, 6.4
 //! nlm         the one NL-means operator: payload, optional guide, optional features          7.1.1, 8.2, 8.3
 //! window      what the operator sees from one pixel: weights and the distances behind them  7.1.1, 8.2, 8.3
