@@ -625,6 +625,8 @@ fn products_of_seeds_are_merged_and_divided_by_the_merged_factor() {
 fn halves_of_a_light_have_the_halves_of_its_factor() {
     let folder = folder();
     let part = quotient(1.0, 0.5)
+        .with("halfA", "RGB", 0.5)
+        .with("halfB", "RGB", 1.5)
         .with("direct_halfA", "RGB", 2.0)
         .with("direct_halfB", "RGB", 4.0)
         .with("colour_halfA", "RGB", 0.25)
