@@ -503,16 +503,26 @@ fn straight_halves_have_alphas_of_their_own() {
 /// A layout in which `colour` multiplies `direct` and `indirect`.
 fn with_factor(folder: &Path) -> Option<String> {
     let layout = folder.join("factor.toml");
-    let text = "title = \"Mine\"\n[[layer]]\nname = \"\"\nrole = \"color\"\n[[layer]]\nname = \
-                [\"{group}direct\", \"{group}indirect\"]\nrole = \"light\"\nfactor = [\"{group}hue\", \"{group}colour\"]\n\
-                [[layer]]\nname = \"{group}colour\"\nrole = \"ignore\"\n";
+    let text = r#"
+        title = "Mine"
+        [[layer]]
+        name = ""
+        role = "color"
+        [[layer]]
+        name = ["{group}direct", "{group}indirect"]
+        role = "light"
+        factor = ["{group}hue", "{group}colour"]
+        [[layer]]
+        name = "{group}colour"
+        role = "ignore"
+    "#;
     std::fs::write(&layout, text).unwrap();
     Some(layout.to_str().unwrap().to_owned())
 }
 
 /// A light of `light` in red, twice as much in green and thrice in blue, with a colour that is 0 in pixel 1, negative in
-/// pixel 2, infinite in pixel 3 and not a number in pixel 4, and elsewhere `factor` in red, a half of it in green and a
-/// fourth in blue.
+/// pixel 2, infinite in pixel 3 and not a number in pixel 4. Elsewhere the colour is `factor` in red, a half of it in
+/// green and a fourth in blue.
 fn quotient(light: f32, factor: f32) -> Part {
     let factor_at = move |pixel: usize| match pixel {
         1 => 0.0,
@@ -667,4 +677,91 @@ fn straight_lights_are_multiplied_by_their_factor_and_their_alpha() {
     let single = BufferSetRequest { seeds: Vec::new(), ..request };
     let (output, _) = denoised(&single, |_, value| value);
     assert_eq!(stored(&output, "direct.R").values_as_f32().next(), Some(1.0));
+}
+
+#[test]
+fn blender_has_its_factors_in_the_same_part_or_in_parts_of_their_own() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata/layouts/cycles");
+    for (file, light, factor) in [
+        ("5_0.exr", "ViewLayer.Diffuse Direct", "ViewLayer.Diffuse Color"),
+        ("2_90.exr", "View Layer.DiffDir", "View Layer.DiffCol"),
+    ] {
+        let input = folder.join(file);
+        let [quotient, factor] =
+            [light, factor].map(|layer| stein_exr::read_reference(&input, Some(layer)).unwrap().planes[1][5]);
+        let (frame, _) = read(&input).to_frame().unwrap();
+        let layer = frame.payload().iter().find(|layer| layer.name == light).unwrap();
+        assert_eq!(layer.mean.planes[1][5], quotient * factor, "{file}");
+    }
+}
+
+#[test]
+fn what_no_filter_has_seen_of_merged_seeds_is_written_as_quotients() {
+    let folder = folder();
+    let seed = |name: &str, light: f32, factor: f32| {
+        let part = ["near", "far"].into_iter().fold(Part::new(), |part, group| {
+            let part = part.with(&format!("{group}.Combined"), "RGB", light);
+            ["R", "G", "B"].into_iter().fold(part, |part, channel| {
+                part.and(&format!("{group}.Diffuse Direct.{channel}"), plane(|_| light))
+                    .and(&format!("{group}.Diffuse Color.{channel}"), plane(|_| factor))
+            })
+        });
+        write(folder.path(), name, vec![part.attribute("BlenderMultiChannel", AttributeValue::Text("x".into()))])
+    };
+    let (first, second) = (seed("1.exr", 1.0, 0.5), seed("2.exr", 3.0, 0.25));
+    let request = BufferSetRequest { seeds: vec![second], ..request(&first) };
+    let output = folder.path().join("out.exr");
+    let check = |what: &str| {
+        for group in ["near", "far"] {
+            let at = |layer: &str| stored(&output, &format!("{group}.{layer}.G")).values_as_f32().next().unwrap();
+            assert_eq!(at("Diffuse Color"), 0.375);
+            assert!((at("Diffuse Direct") - 0.625 / 0.375).abs() < 1e-6, "{what}: {group} {}", at("Diffuse Direct"));
+        }
+    };
+    // The frame is of one of the pictures.
+    let mut set = BufferSet::read(&request).unwrap();
+    let (frame, _) = set.take_frame().unwrap();
+    write_estimate(&estimate(&frame, |_, value| value), set, &output, &[], &Method::default()).unwrap();
+    check("take_frame");
+    // The estimate is of one of the pictures.
+    let set = BufferSet::read(&request).unwrap();
+    write_estimate(&estimate(&frame, |_, value| value), set, &output, &[], &Method::default()).unwrap();
+    check("write_estimate");
+    // The estimate lacks the layer.
+    let none = Estimate { payload: Vec::new(), ..estimate(&frame, |_, value| value) };
+    let set = BufferSet::read(&request).unwrap();
+    write_estimate(&none, set, &output, &[], &Method::default()).unwrap();
+    check("an estimate without the layer");
+    let set = BufferSet::read(&request).unwrap();
+    let color = frame.color().mean.clone();
+    write_denoised(set, &output, &replace_color(&color)).unwrap();
+    check("write_denoised");
+}
+
+#[test]
+fn pixels_beside_the_picture_stay_quotients() {
+    let folder = folder();
+    let seed = |name: &str, light: f32, factor: f32| {
+        let channels = |part: Part, layer: &str, value: f32| {
+            ["R", "G", "B"].into_iter().fold(part, |mut part, channel| {
+                let pixels = part.size.0 * part.size.1;
+                part.channels.push((format!("{layer}.{channel}"), FlatSamples::F32(vec![value; pixels])));
+                part
+            })
+        };
+        let color = Part::named("color").with("", "RGB", light);
+        let wide = Part { size: (SIZE.0 + 1, SIZE.1), ..Part::named("wide") };
+        let wide = channels(channels(wide, "direct", light), "colour", factor);
+        write(folder.path(), name, vec![color, wide])
+    };
+    let (first, second) = (seed("1.exr", 1.0, 0.5), seed("2.exr", 3.0, 0.25));
+    let request = BufferSetRequest { seeds: vec![second], layout: with_factor(folder.path()), ..request(&first) };
+    assert_eq!(along(&request), ["direct"]);
+    let (output, _) = denoised(&request, |_, value| 2.0 * value);
+    let written = read_all_flat_layers_from_file(&output).unwrap();
+    let channels = &written.layer_data[1].channel_data.list;
+    let red = channels.iter().find(|channel| channel.name.to_string() == "direct.R").unwrap();
+    let red: Vec<f32> = red.sample_data.values_as_f32().collect();
+    assert!((red[0] - 2.0 * 0.625 / 0.375).abs() < 1e-6, "{}", red[0]);
+    assert!((red[SIZE.0] - 0.625 / 0.375).abs() < 1e-6, "{}", red[SIZE.0]);
 }

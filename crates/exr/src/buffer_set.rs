@@ -208,6 +208,8 @@ impl BufferSet {
     /// # Errors
     /// As [`Frame::new`]; [`Error::File`] if there is not enough memory, or if the input is gone.
     pub fn take_frame(&mut self) -> Result<(Frame, Repairs)> {
+        // An output has the other pictures as they are.
+        self.divide_products(|picture, _| picture > 0);
         self.pictures.truncate(1);
         let mut frames = self.take_frames()?;
         Ok(frames.swap_remove(0))
@@ -429,6 +431,45 @@ impl BufferSet {
             let signals = std::iter::once(&mut picture.color).chain(payload).filter(|signal| signal.mean.id() == id);
             signals.for_each(|signal| signal.is_product = !signal.multipliers.is_empty());
         }
+    }
+
+    /// Divides layers in memory that are products by their multipliers if no filter changes them. `is_wanted` is called
+    /// with the picture and the layer that is denoised along with its colour, or `None` for the colour.
+    pub(crate) fn divide_products(&mut self, is_wanted: impl Fn(usize, Option<&PayloadSource>) -> bool) {
+        for index in 0..self.pictures.len() {
+            let own = &self.pictures[index];
+            let payload = own.payload.iter().map(|source| (Some(source), &source.signal));
+            let signals = std::iter::once((None, &own.color)).chain(payload);
+            let is_product = |signal: &SignalSource| {
+                let part = self.part(&signal.mean);
+                signal.is_product && !signal.mean.channels.iter().any(|channel| self.files[0].is_freed(part, *channel))
+            };
+            let divided: Vec<(Planes, Image)> = signals
+                .filter(|(source, signal)| is_product(signal) && is_wanted(index, *source))
+                .map(|(_, signal)| (signal.mean.clone(), self.quotient(signal)))
+                .collect();
+            for (planes, image) in divided {
+                let part = self.part(&planes);
+                for (channel, plane) in planes.channels.iter().zip(image.planes) {
+                    self.files[0].set_plane(part, *channel, plane);
+                }
+                let own = &mut self.pictures[index];
+                let payload = own.payload.iter_mut().map(|source| &mut source.signal);
+                let signals = std::iter::once(&mut own.color).chain(payload);
+                signals.filter(|signal| signal.mean == planes).for_each(|signal| signal.is_product = false);
+            }
+        }
+    }
+
+    /// Returns the mean of a signal of the input as the input stores it, in its own window.
+    pub(crate) fn quotient(&self, signal: &SignalSource) -> Image {
+        let image = |planes: &Planes| self.files[0].planes(self.part(planes), &planes.channels);
+        let window = |planes: &Planes| self.files[0].data_window(self.part(planes));
+        let multipliers = signal.multipliers.iter().rev().filter(|_| signal.is_product);
+        multipliers.fold(image(&signal.mean), |product, Multiplier { kind, mean, .. }| {
+            let by = source::aligned(image(mean), window(mean), window(&signal.mean), 0.0);
+            kind.divided(&product, &by)
+        })
     }
 
     /// Refuses to make a frame of the set if there is not enough memory for planes of f32 beside the stored samples. If

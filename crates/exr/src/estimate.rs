@@ -219,8 +219,13 @@ fn denoised<'a>(estimate: &'a Estimate, source: &PayloadSource) -> Option<&'a De
     estimate.payload.iter().find(|layer| layer.name == source.name)
 }
 
-/// Reads the layers again that no filter changed, so that they are written as they were.
+/// Reads the layers again that no filter changed, so that they are written as they were. Those that were merged from
+/// seeds become what the input would store.
 fn restore_unchanged(set: &mut BufferSet, estimates: &[Estimate]) -> Result<()> {
+    set.divide_products(|picture, source| match (estimates.get(picture), source) {
+        (Some(estimate), Some(source)) => denoised(estimate, source).is_none(),
+        (estimate, _) => estimate.is_none(),
+    });
     set.restore_payload(|picture, source| {
         let estimate = estimates.get(picture);
         estimate.and_then(|estimate| denoised(estimate, source)).is_none_or(|layer| layer.left.is_some())
@@ -312,7 +317,11 @@ impl<'a> Form<'a> {
         let image = if source::covers(window, own) {
             source::aligned(image.into_owned(), window, own, 0.0)
         } else {
-            let mut whole = self.set.files[0].planes(part, &planes.channels);
+            let payload = &self.set.pictures[self.picture].payload;
+            let mut whole = match payload.iter().find(|source| source.signal.mean == *planes) {
+                Some(source) => self.set.quotient(&source.signal),
+                None => self.set.files[0].planes(part, &planes.channels),
+            };
             source::overlay(&mut whole, own, &image, window);
             whole
         };
