@@ -545,6 +545,7 @@ fn lights_are_denoised_as_products_with_their_factor() {
     let request = BufferSetRequest { layout: with_factor(folder.path()), ..request(&input) };
     assert_eq!(along(&request), ["direct"]);
     let set = BufferSet::read(&request).unwrap();
+    assert!(note(&set, "colour").contains("as a factor of layers"), "{}", note(&set, "colour"));
     let (frame, repairs) = set.to_frame().unwrap();
     assert!(repairs.layers.is_empty(), "{repairs}");
     let planes = &frame.payload()[0].mean.planes;
