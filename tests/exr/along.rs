@@ -499,3 +499,270 @@ fn straight_halves_have_alphas_of_their_own() {
     let (output, _) = denoised(&straight, |_, _| 0.5);
     assert_eq!([at(&output, "halfA.R"), at(&output, "halfA.A")], [(1.0 - 1.375) / 0.5, 0.5]);
 }
+
+/// A layout in which `colour` multiplies `direct` and `indirect`.
+fn with_factor(folder: &Path) -> Option<String> {
+    let layout = folder.join("factor.toml");
+    let text = r#"
+        title = "Mine"
+        [[layer]]
+        name = ""
+        role = "color"
+        [[layer]]
+        name = ["{group}direct", "{group}indirect"]
+        role = "light"
+        factor = ["{group}hue", "{group}colour"]
+        [[layer]]
+        name = "{group}colour"
+        role = "ignore"
+    "#;
+    std::fs::write(&layout, text).unwrap();
+    Some(layout.to_str().unwrap().to_owned())
+}
+
+/// A light of `light` in red, twice as much in green and thrice in blue, with a colour that is 0 in pixel 1, negative in
+/// pixel 2, infinite in pixel 3 and not a number in pixel 4. Elsewhere the colour is `factor` in red, a half of it in
+/// green and a fourth in blue.
+fn quotient(light: f32, factor: f32) -> Part {
+    let factor_at = move |pixel: usize| match pixel {
+        1 => 0.0,
+        2 => -1.0,
+        3 => f32::INFINITY,
+        4 => f32::NAN,
+        _ => factor,
+    };
+    let channels = [("R", 1.0, 1.0), ("G", 2.0, 0.5), ("B", 3.0, 0.25)];
+    channels.into_iter().fold(Part::new().with("", "RGB", light), |part, (channel, times, share)| {
+        part.and(&format!("direct.{channel}"), plane(|pixel| (light + pixel as f32) * times))
+            .and(&format!("colour.{channel}"), plane(|pixel| factor_at(pixel) * share))
+    })
+}
+
+#[test]
+fn lights_are_denoised_as_products_with_their_factor() {
+    let folder = folder();
+    let input = write(folder.path(), "in.exr", vec![quotient(1.0, 0.5)]);
+    let request = BufferSetRequest { layout: with_factor(folder.path()), ..request(&input) };
+    assert_eq!(along(&request), ["direct"]);
+    let set = BufferSet::read(&request).unwrap();
+    assert!(note(&set, "colour").contains("as a factor of layers"), "{}", note(&set, "colour"));
+    let (frame, repairs) = set.to_frame().unwrap();
+    assert!(repairs.layers.is_empty(), "{repairs}");
+    let planes = &frame.payload()[0].mean.planes;
+    assert_eq!(planes[0][..6], [0.5, 0.0, 0.0, 0.0, 0.0, 3.0]);
+    assert_eq!([planes[1][0], planes[2][0]], [2.0 * 0.25, 3.0 * 0.125]);
+    let references = set.read_references(0, &LayerRef::whole(&input)).unwrap();
+    assert_eq!(references.payload[0].1, frame.payload()[0].mean);
+
+    let (output, written) = denoised(&request, |_, value| value + 1.0);
+    assert_eq!(written.along, ["direct"]);
+    assert_eq!(written.non_finite_values, 0);
+    let FlatSamples::F32(red) = stored(&output, "direct.R") else { panic!("another type") };
+    assert_eq!(red[..6], [1.5 / 0.5, 0.0, 0.0, 0.0, 0.0, 4.0 / 0.5]);
+    assert_eq!(stored(&output, "direct.B").values_as_f32().next(), Some((0.375 + 1.0) / 0.125));
+    // The factor stays, also where its values are no numbers.
+    for channel in ["colour.R", "colour.G"] {
+        let (before, after) = (stored(&input, channel), stored(&output, channel));
+        let bits = |samples: &FlatSamples| samples.values_as_f32().map(f32::to_bits).collect::<Vec<_>>();
+        assert_eq!(bits(&after), bits(&before), "{channel}");
+    }
+    // A light that no filter changed stays to the bit.
+    let mut set = BufferSet::read(&request).unwrap();
+    let (frame, _) = set.take_frame().unwrap();
+    let mut unchanged = estimate(&frame, |_, value| value);
+    unchanged.payload[0].left = Some(PayloadLeft::NoNoise);
+    write_estimate(&unchanged, set, &output, &[], &Method::default()).unwrap();
+    assert_eq!(stored(&output, "direct.R"), stored(&input, "direct.R"));
+}
+
+#[test]
+fn a_factor_is_no_light_and_a_light_without_its_factor_is_denoised_as_it_is() {
+    let folder = folder();
+    let part = quotient(1.0, 0.5);
+    let input = write(folder.path(), "in.exr", vec![part.clone()]);
+    let layout = with_factor(folder.path());
+    let with = |aovs: &str, input: &Path| BufferSetRequest {
+        aovs: aovs.parse().unwrap(),
+        layout: layout.clone(),
+        ..request(input)
+    };
+    assert_eq!(along(&with("all", &input)), ["direct"]);
+    assert!(failure(&with("colour", &input)).contains("other layers are multiplied by it"));
+    let channels = part.channels.into_iter().filter(|(name, _)| !name.starts_with("colour")).collect();
+    let without = write(folder.path(), "without.exr", vec![Part { channels, ..Part::new() }]);
+    let (frame, _) = BufferSet::read(&with("lights", &without)).unwrap().to_frame().unwrap();
+    assert_eq!(frame.payload()[0].mean.planes[1][..2], [2.0, 4.0]);
+    // A reference without the factor has no product to compare with.
+    let set = BufferSet::read(&with("lights", &input)).unwrap();
+    assert!(set.read_references(0, &LayerRef::whole(&without)).unwrap().payload.is_empty());
+    // The first name is preferred.
+    let first = quotient(1.0, 0.5).with("hue", "Y", 2.0);
+    let first = write(folder.path(), "first.exr", vec![first]);
+    let (frame, _) = BufferSet::read(&with("lights", &first)).unwrap().to_frame().unwrap();
+    assert_eq!(frame.payload()[0].mean.planes[1][..2], [2.0 * 2.0, 4.0 * 3.0]);
+}
+
+#[test]
+fn products_of_seeds_are_merged_and_divided_by_the_merged_factor() {
+    let folder = folder();
+    let first = write(folder.path(), "1.exr", vec![quotient(1.0, 0.5)]);
+    let second = write(folder.path(), "2.exr", vec![quotient(3.0, 0.25)]);
+    let request = BufferSetRequest {
+        layout: with_factor(folder.path()),
+        seeds: vec![second],
+        payload_halves: true,
+        ..request(&first)
+    };
+    let (frame, _) = BufferSet::read(&request).unwrap().to_frame().unwrap();
+    let light = &frame.payload()[0];
+    // Products 0.5 and 0.75 in red, and 0.375 and 0.5625 in blue.
+    assert_eq!((light.mean.planes[0][0], light.half_spread.as_ref().unwrap().planes[0][0]), (0.625, -0.125));
+    assert_eq!(light.mean.planes[2][0], 0.46875);
+    for is_changed in [true, false] {
+        let mut set = BufferSet::read(&request).unwrap();
+        let (frame, _) = set.take_frame().unwrap();
+        let mut estimate = estimate(&frame, |_, value| value);
+        estimate.payload[0].left = (!is_changed).then_some(PayloadLeft::NoNoise);
+        let output = folder.path().join("out.exr");
+        write_estimate(&estimate, set, &output, &[], &Method::default()).unwrap();
+        let at = |channel: &str| stored(&output, channel).values_as_f32().next().unwrap();
+        assert_eq!([at("colour.R"), at("colour.B")], [0.375, 0.09375]);
+        assert!((at("direct.R") * at("colour.R") - 0.625).abs() < 1e-6, "{}", at("direct.R"));
+        assert!((at("direct.B") * at("colour.B") - 0.46875).abs() < 1e-6, "{}", at("direct.B"));
+    }
+}
+
+#[test]
+fn halves_of_a_light_have_the_halves_of_its_factor() {
+    let folder = folder();
+    let part = quotient(1.0, 0.5)
+        .with("halfA", "RGB", 0.5)
+        .with("halfB", "RGB", 1.5)
+        .with("direct_halfA", "RGB", 2.0)
+        .with("direct_halfB", "RGB", 4.0)
+        .with("colour_halfA", "RGB", 0.25)
+        .with("colour_halfB", "RGB", 0.75);
+    let layout = with_factor(folder.path());
+    let spread = |part: Part| {
+        let input = write(folder.path(), "in.exr", vec![part]);
+        let request = BufferSetRequest { layout: layout.clone(), payload_halves: true, ..request(&input) };
+        let (frame, _) = BufferSet::read(&request).unwrap().to_frame().unwrap();
+        frame.payload()[0].half_spread.as_ref().unwrap().planes[0][0]
+    };
+    assert_eq!(spread(part.clone()), (2.0 * 0.25 - 4.0 * 0.75) / 2.0);
+    // Without halves, the mean of the factor multiplies both.
+    let channels = part.channels.into_iter().filter(|(name, _)| !name.starts_with("colour_half")).collect();
+    assert_eq!(spread(Part { channels, ..Part::new() }), (2.0 - 4.0) * 0.5 / 2.0);
+}
+
+#[test]
+fn straight_lights_are_multiplied_by_their_factor_and_their_alpha() {
+    let folder = folder();
+    let seed = |name: &str, light: f32, factor: f32, alpha: f32| {
+        write(folder.path(), name, vec![quotient(light, factor).and("A", plane(move |_| alpha))])
+    };
+    let (first, second) = (seed("1.exr", 1.0, 0.5, 0.5), seed("2.exr", 3.0, 0.25, 1.0));
+    let request = BufferSetRequest {
+        layout: with_factor(folder.path()),
+        alpha: Some(AlphaEncoding::Straight),
+        seeds: vec![second],
+        ..request(&first)
+    };
+    let (frame, _) = BufferSet::read(&request).unwrap().to_frame().unwrap();
+    // (1·0.5·0.5 + 3·0.25·1)/2.
+    assert_eq!(frame.payload()[0].mean.planes[0][..2], [0.5, 0.0]);
+    let (output, _) = denoised(&request, |_, value| value);
+    let at = |channel: &str| stored(&output, channel).values_as_f32().next().unwrap();
+    assert_eq!([at("colour.R"), at("A")], [0.375, 0.75]);
+    assert!((at("direct.R") * at("colour.R") * at("A") - 0.5).abs() < 1e-6);
+    let single = BufferSetRequest { seeds: Vec::new(), ..request };
+    let (output, _) = denoised(&single, |_, value| value);
+    assert_eq!(stored(&output, "direct.R").values_as_f32().next(), Some(1.0));
+}
+
+#[test]
+fn blender_has_its_factors_in_the_same_part_or_in_parts_of_their_own() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata/layouts/cycles");
+    for (file, light, factor) in [
+        ("5_0.exr", "ViewLayer.Diffuse Direct", "ViewLayer.Diffuse Color"),
+        ("2_90.exr", "View Layer.DiffDir", "View Layer.DiffCol"),
+    ] {
+        let input = folder.join(file);
+        let [quotient, factor] =
+            [light, factor].map(|layer| stein_exr::read_reference(&input, Some(layer)).unwrap().planes[1][5]);
+        let (frame, _) = read(&input).to_frame().unwrap();
+        let layer = frame.payload().iter().find(|layer| layer.name == light).unwrap();
+        assert_eq!(layer.mean.planes[1][5], quotient * factor, "{file}");
+    }
+}
+
+#[test]
+fn what_no_filter_has_seen_of_merged_seeds_is_written_as_quotients() {
+    let folder = folder();
+    let seed = |name: &str, light: f32, factor: f32| {
+        let part = ["near", "far"].into_iter().fold(Part::new(), |part, group| {
+            let part = part.with(&format!("{group}.Combined"), "RGB", light);
+            ["R", "G", "B"].into_iter().fold(part, |part, channel| {
+                part.and(&format!("{group}.Diffuse Direct.{channel}"), plane(|_| light))
+                    .and(&format!("{group}.Diffuse Color.{channel}"), plane(|_| factor))
+            })
+        });
+        write(folder.path(), name, vec![part.attribute("BlenderMultiChannel", AttributeValue::Text("x".into()))])
+    };
+    let (first, second) = (seed("1.exr", 1.0, 0.5), seed("2.exr", 3.0, 0.25));
+    let request = BufferSetRequest { seeds: vec![second], ..request(&first) };
+    let output = folder.path().join("out.exr");
+    let check = |what: &str| {
+        for group in ["near", "far"] {
+            let at = |layer: &str| stored(&output, &format!("{group}.{layer}.G")).values_as_f32().next().unwrap();
+            assert_eq!(at("Diffuse Color"), 0.375);
+            assert!((at("Diffuse Direct") - 0.625 / 0.375).abs() < 1e-6, "{what}: {group} {}", at("Diffuse Direct"));
+        }
+    };
+    // The frame is of one of the pictures.
+    let mut set = BufferSet::read(&request).unwrap();
+    let (frame, _) = set.take_frame().unwrap();
+    write_estimate(&estimate(&frame, |_, value| value), set, &output, &[], &Method::default()).unwrap();
+    check("take_frame");
+    // The estimate is of one of the pictures.
+    let set = BufferSet::read(&request).unwrap();
+    write_estimate(&estimate(&frame, |_, value| value), set, &output, &[], &Method::default()).unwrap();
+    check("write_estimate");
+    // The estimate lacks the layer.
+    let none = Estimate { payload: Vec::new(), ..estimate(&frame, |_, value| value) };
+    let set = BufferSet::read(&request).unwrap();
+    write_estimate(&none, set, &output, &[], &Method::default()).unwrap();
+    check("an estimate without the layer");
+    let set = BufferSet::read(&request).unwrap();
+    let color = frame.color().mean.clone();
+    write_denoised(set, &output, &replace_color(&color)).unwrap();
+    check("write_denoised");
+}
+
+#[test]
+fn pixels_beside_the_picture_stay_quotients() {
+    let folder = folder();
+    let seed = |name: &str, light: f32, factor: f32| {
+        let channels = |part: Part, layer: &str, value: f32| {
+            ["R", "G", "B"].into_iter().fold(part, |mut part, channel| {
+                let pixels = part.size.0 * part.size.1;
+                part.channels.push((format!("{layer}.{channel}"), FlatSamples::F32(vec![value; pixels])));
+                part
+            })
+        };
+        let color = Part::named("color").with("", "RGB", light);
+        let wide = Part { size: (SIZE.0 + 1, SIZE.1), ..Part::named("wide") };
+        let wide = channels(channels(wide, "direct", light), "colour", factor);
+        write(folder.path(), name, vec![color, wide])
+    };
+    let (first, second) = (seed("1.exr", 1.0, 0.5), seed("2.exr", 3.0, 0.25));
+    let request = BufferSetRequest { seeds: vec![second], layout: with_factor(folder.path()), ..request(&first) };
+    assert_eq!(along(&request), ["direct"]);
+    let (output, _) = denoised(&request, |_, value| 2.0 * value);
+    let written = read_all_flat_layers_from_file(&output).unwrap();
+    let channels = &written.layer_data[1].channel_data.list;
+    let red = channels.iter().find(|channel| channel.name.to_string() == "direct.R").unwrap();
+    let red: Vec<f32> = red.sample_data.values_as_f32().collect();
+    assert!((red[0] - 2.0 * 0.625 / 0.375).abs() < 1e-6, "{}", red[0]);
+    assert!((red[SIZE.0] - 0.625 / 0.375).abs() < 1e-6, "{}", red[SIZE.0]);
+}

@@ -1,4 +1,4 @@
-//! Alpha: colours to and from their products with alpha, and pixels in which no ray hit anything.
+//! Alpha as a feature, and pixels in which no ray hit anything.
 
 use std::borrow::Cow;
 
@@ -30,34 +30,6 @@ pub(crate) fn feature(alpha: &RawSignal, samples: &SamplesPerPixel) -> Option<Ra
         alpha.variance_of_mean = Some(Image { extent: alpha.mean.extent, planes });
     }
     Some(alpha)
-}
-
-/// Multiplies colours by alpha, which counts as 0 to 1. Where it is 0, the product is 0 whatever the colour is.
-pub(crate) fn multiply(image: &mut Image, alpha: &[f32]) {
-    image.planes.iter_mut().for_each(|plane| multiply_plane(plane, alpha));
-}
-
-/// Multiplies a plane as [`multiply`] does.
-pub(crate) fn multiply_plane(plane: &mut [f32], alpha: &[f32]) {
-    scale(plane, alpha, |alpha| alpha);
-}
-
-/// Multiplies the variances of colours by the square of alpha.
-pub(crate) fn multiply_variance(image: &mut Image, alpha: &[f32]) {
-    image.planes.iter_mut().for_each(|plane| multiply_variance_plane(plane, alpha));
-}
-
-/// Multiplies a plane as [`multiply_variance`] does.
-pub(crate) fn multiply_variance_plane(plane: &mut [f32], alpha: &[f32]) {
-    scale(plane, alpha, |alpha| alpha * alpha);
-}
-
-fn scale(plane: &mut [f32], alpha: &[f32], factor: impl Fn(f32) -> f32) {
-    for (value, alpha) in plane.iter_mut().zip(alpha) {
-        // Where alpha is 0, the stored value may be anything, also NaN. An alpha of NaN makes the product NaN, so that
-        // the pixel is repaired.
-        *value = if *alpha <= 0.0 { 0.0 } else { *value * factor(alpha.clamp(0.0, 1.0)) };
-    }
 }
 
 /// Returns the pixels without hits: alpha and the colour, multiplied by it, are 0 in the mean and in both halves.
@@ -95,15 +67,6 @@ pub(crate) fn without_fringe<'a>(mut image: Cow<'a, Image>, alpha: &[f32], empty
     image
 }
 
-/// Returns colours divided by their alpha, which is 0 to 1; 0 where alpha is 0.
-pub(crate) fn divided(image: &Image, alpha: &[f32]) -> Image {
-    let divided = |plane: &Vec<f32>| {
-        let pixels = plane.iter().zip(alpha);
-        pixels.map(|(value, alpha)| if *alpha > 0.0 { value / alpha } else { 0.0 }).collect()
-    };
-    Image { extent: image.extent, planes: image.planes.iter().map(divided).collect() }
-}
-
 #[cfg(test)]
 mod tests {
     use stein::image::Extent;
@@ -112,18 +75,6 @@ mod tests {
 
     fn image(values: &[f32]) -> Image {
         Image { extent: Extent { width: values.len() as u32, height: 1 }, planes: vec![values.to_vec()] }
-    }
-
-    #[test]
-    fn colours_are_multiplied_by_alpha_and_divided_again() {
-        let alpha = [0.5, 0.0, -1.0, 2.0];
-        let mut colour = image(&[3.0, f32::NAN, f32::INFINITY, 4.0]);
-        multiply(&mut colour, &alpha);
-        assert_eq!(colour.planes[0], [1.5, 0.0, 0.0, 4.0]);
-        assert_eq!(divided(&colour, &[0.5, 0.0, 0.0, 1.0]).planes[0], [3.0, 0.0, 0.0, 4.0]);
-        let mut variance = image(&[8.0, f32::NAN]);
-        multiply_variance(&mut variance, &alpha);
-        assert_eq!(variance.planes[0], [2.0, 0.0]);
     }
 
     #[test]

@@ -14,6 +14,7 @@ use crate::classify::LayerId;
 use crate::file::ExrFile;
 use crate::layer_ref::{LayerRef, LayerUse};
 use crate::layout::LayoutUse;
+use crate::multiplier::{Multiplier, MultiplierKind};
 use crate::picture_file::{Format, PngEncoding};
 use crate::request::BufferSetRequest;
 use crate::source::{self, PayloadSource, Picture, Planes, SignalSource, VarianceSource};
@@ -207,6 +208,8 @@ impl BufferSet {
     /// # Errors
     /// As [`Frame::new`]; [`Error::File`] if there is not enough memory, or if the input is gone.
     pub fn take_frame(&mut self) -> Result<(Frame, Repairs)> {
+        // An output has the other pictures as they are.
+        self.divide_products(|picture, _| picture > 0);
         self.pictures.truncate(1);
         let mut frames = self.take_frames()?;
         Ok(frames.swap_remove(0))
@@ -279,9 +282,14 @@ impl BufferSet {
         };
         let layer = |source: &PayloadSource| {
             let mut image = aligned(&source.signal.mean)?;
-            let alpha = source.alpha.as_ref().filter(|_| self.pictures[picture].is_straight && has_straight(&file));
-            if let Some(alpha) = alpha.and_then(aligned) {
-                alpha::multiply(&mut image, &alpha.planes[0]);
+            for Multiplier { kind, mean, .. } in &source.signal.multipliers {
+                match (kind, aligned(mean)) {
+                    (MultiplierKind::Alpha, _) if !has_straight(&file) => {}
+                    (_, Some(by)) => kind.multiply(&mut image, &by),
+                    (MultiplierKind::Alpha, None) => {}
+                    // Without its factor, a light is no product to compare.
+                    (MultiplierKind::Factor, None) => return None,
+                }
             }
             Some((source.name.clone(), image))
         };
@@ -314,7 +322,7 @@ impl BufferSet {
                 (file.data_window(part) == own).then_some((part, channels[0]))
             });
             if let Some((part, alpha)) = alpha.filter(|_| self.pictures[picture].is_straight && has_straight(file)) {
-                alpha::multiply(&mut image, &file.plane(part, alpha));
+                MultiplierKind::Alpha.multiply(&mut image, &file.planes(part, &[alpha]));
             }
             return Ok((source::aligned(image, own, window, 0.0), layer));
         }
@@ -416,16 +424,52 @@ impl BufferSet {
         self.files.iter_mut().skip(1).for_each(|file| file.forget_samples(|_, _| false));
     }
 
-    /// Notes that the values of a layer in memory are multiplied by their alpha.
-    pub(crate) fn mark_converted(&mut self, id: LayerId) {
+    /// Notes that the values of a layer in memory are multiplied by its multipliers.
+    pub(crate) fn mark_products(&mut self, id: LayerId) {
         for picture in &mut self.pictures {
-            if picture.color.mean.id() == id {
-                picture.color.alphas = None;
-            }
-            for source in picture.payload.iter_mut().filter(|source| source.signal.mean.id() == id) {
-                source.is_converted |= source.signal.alphas.take().is_some();
+            let payload = picture.payload.iter_mut().map(|source| &mut source.signal);
+            let signals = std::iter::once(&mut picture.color).chain(payload).filter(|signal| signal.mean.id() == id);
+            signals.for_each(|signal| signal.is_product = !signal.multipliers.is_empty());
+        }
+    }
+
+    /// Divides layers in memory that are products by their multipliers if no filter changes them. `is_wanted` is called
+    /// with the picture and the layer that is denoised along with its colour, or `None` for the colour.
+    pub(crate) fn divide_products(&mut self, is_wanted: impl Fn(usize, Option<&PayloadSource>) -> bool) {
+        for index in 0..self.pictures.len() {
+            let own = &self.pictures[index];
+            let payload = own.payload.iter().map(|source| (Some(source), &source.signal));
+            let signals = std::iter::once((None, &own.color)).chain(payload);
+            let is_product = |signal: &SignalSource| {
+                let part = self.part(&signal.mean);
+                signal.is_product && !signal.mean.channels.iter().any(|channel| self.files[0].is_freed(part, *channel))
+            };
+            let divided: Vec<(Planes, Image)> = signals
+                .filter(|(source, signal)| is_product(signal) && is_wanted(index, *source))
+                .map(|(_, signal)| (signal.mean.clone(), self.quotient(signal)))
+                .collect();
+            for (planes, image) in divided {
+                let part = self.part(&planes);
+                for (channel, plane) in planes.channels.iter().zip(image.planes) {
+                    self.files[0].set_plane(part, *channel, plane);
+                }
+                let own = &mut self.pictures[index];
+                let payload = own.payload.iter_mut().map(|source| &mut source.signal);
+                let signals = std::iter::once(&mut own.color).chain(payload);
+                signals.filter(|signal| signal.mean == planes).for_each(|signal| signal.is_product = false);
             }
         }
+    }
+
+    /// Returns the mean of a signal of the input as the input stores it, in its own window.
+    pub(crate) fn quotient(&self, signal: &SignalSource) -> Image {
+        let image = |planes: &Planes| self.files[0].planes(self.part(planes), &planes.channels);
+        let window = |planes: &Planes| self.files[0].data_window(self.part(planes));
+        let multipliers = signal.multipliers.iter().rev().filter(|_| signal.is_product);
+        multipliers.fold(image(&signal.mean), |product, Multiplier { kind, mean, .. }| {
+            let by = source::aligned(image(mean), window(mean), window(&signal.mean), 0.0);
+            kind.divided(&product, &by)
+        })
     }
 
     /// Refuses to make a frame of the set if there is not enough memory for planes of f32 beside the stored samples. If
@@ -458,7 +502,14 @@ impl BufferSet {
             (4 * (kept(color) + all_features + one_feature + count(samples_layer))).saturating_sub(stored);
         // The half spread of a layer that is denoised along is made while its mean and both halves are there.
         let along = payload.iter().map(|source| kept(&source.signal)).sum::<u64>();
-        let one_layer = payload.iter().map(|source| count(&source.signal.half_a) + let_go(&source.signal)).max();
+        let multiplier = |source: &SignalSource| {
+            let multipliers = source.pending_multipliers().iter();
+            multipliers.map(|multiplier| multiplier.mean.channels.len() as u64).max().unwrap_or(0)
+        };
+        let one_layer = payload
+            .iter()
+            .map(|PayloadSource { signal, .. }| count(&signal.half_a) + let_go(signal) + multiplier(signal));
+        let one_layer = one_layer.max();
         let with_payload = kept(color) + all_features + count(samples_layer) + along + one_layer.unwrap_or(0);
         let with_payload = (4 * with_payload).saturating_sub(stored);
         // Adds the marks for the repair of pixels and for pixels without hits, a copy of alpha, and alpha as a feature.

@@ -3,11 +3,13 @@
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
+use exr::prelude::{SampleType, f16};
 use serde::Serialize;
 
-use crate::alpha::{divided, without_fringe};
+use crate::alpha::without_fringe;
+use crate::multiplier::{Multiplier, MultiplierKind};
 use crate::picture_file::{self, Format};
-use crate::source::{self, Alphas, PayloadSource, Planes};
+use crate::source::{self, PayloadSource, Planes};
 use crate::write::{ReplacedChannels, write_pictures};
 use crate::{BufferSet, DenoisedLayers, LayerUse, NamedLayer, Role};
 use stein::error::{FileCause, RequestCause};
@@ -185,7 +187,7 @@ fn write_picture(
     let mut image = match format {
         // The encoder divides by alpha.
         Format::Png => form.without_fringe(Cow::Borrowed(&first.color)),
-        _ => form.colour(Cow::Borrowed(&first.color), picture.alpha.as_ref()),
+        _ => form.stored(Cow::Borrowed(&first.color), &picture.color.multipliers, |_| &None),
     }
     .into_owned();
     if let Some(planes) = alpha {
@@ -217,8 +219,13 @@ fn denoised<'a>(estimate: &'a Estimate, source: &PayloadSource) -> Option<&'a De
     estimate.payload.iter().find(|layer| layer.name == source.name)
 }
 
-/// Reads the layers again that no filter changed, so that they are written as they were.
+/// Reads the layers again that no filter changed, so that they are written as they were. Those that were merged from
+/// seeds become what the input would store.
 fn restore_unchanged(set: &mut BufferSet, estimates: &[Estimate]) -> Result<()> {
+    set.divide_products(|picture, source| match (estimates.get(picture), source) {
+        (Some(estimate), Some(source)) => denoised(estimate, source).is_none(),
+        (estimate, _) => estimate.is_none(),
+    });
     set.restore_payload(|picture, source| {
         let estimate = estimates.get(picture);
         estimate.and_then(|estimate| denoised(estimate, source)).is_none_or(|layer| layer.left.is_some())
@@ -269,13 +276,36 @@ impl<'a> Form<'a> {
         }
     }
 
-    /// Returns a colour, which is multiplied by its alpha, as the input stores colours.
-    fn colour<'b>(&self, image: Cow<'b, Image>, alpha: Option<&Planes>) -> Cow<'b, Image> {
+    /// Returns a colour or light, which is multiplied by its multipliers, as the input stores it. `of_half` returns the
+    /// multiplier of a half that the output keeps; `None` takes that of the mean.
+    fn stored<'b>(
+        &self,
+        image: Cow<'b, Image>,
+        multipliers: &[Multiplier],
+        of_half: impl Fn(&Multiplier) -> &Option<Planes>,
+    ) -> Cow<'b, Image> {
         let image = self.without_fringe(image);
-        match alpha.filter(|_| self.set.pictures[self.picture].is_straight) {
-            Some(planes) => Cow::Owned(divided(&image, &self.alpha(planes))),
-            None => image,
+        multipliers.iter().rev().fold(image, |image, multiplier| {
+            let planes = of_half(multiplier).as_ref().unwrap_or(&multiplier.mean);
+            let by = match multiplier.kind {
+                MultiplierKind::Alpha => Image { extent: image.extent, planes: vec![self.alpha(planes)] },
+                MultiplierKind::Factor => self.factor(planes),
+            };
+            Cow::Owned(multiplier.kind.divided(&image, &by))
+        })
+    }
+
+    /// Returns a factor as the output has it, in the window of the picture.
+    fn factor(&self, planes: &Planes) -> Image {
+        let mut factor = self.set.image(self.picture, planes, 0.0);
+        let file = &self.set.files[planes.file];
+        for (plane, channel) in factor.planes.iter_mut().zip(&planes.channels) {
+            // The mean of several seeds is rounded when it is written.
+            if file.stored_types[self.set.part(planes)][*channel] == SampleType::F16 {
+                plane.iter_mut().for_each(|value| *value = f16::from_f32(*value).to_f32());
+            }
         }
+        factor
     }
 
     /// Returns channels of the input with a denoised image in their own window. Pixels outside of the picture stay as
@@ -287,7 +317,11 @@ impl<'a> Form<'a> {
         let image = if source::covers(window, own) {
             source::aligned(image.into_owned(), window, own, 0.0)
         } else {
-            let mut whole = self.set.files[0].planes(part, &planes.channels);
+            let payload = &self.set.pictures[self.picture].payload;
+            let mut whole = match payload.iter().find(|source| source.signal.mean == *planes) {
+                Some(source) => self.set.quotient(&source.signal),
+                None => self.set.files[0].planes(part, &planes.channels),
+            };
             source::overlay(&mut whole, own, &image, window);
             whole
         };
@@ -348,11 +382,11 @@ impl<'a> OfPicture<'a> {
             let part = set.part(planes);
             let is_changed = layer.left.is_none();
             let is_lost = || planes.channels.iter().any(|channel| set.files[0].is_freed(part, *channel));
-            if !is_changed && !source.is_converted && !is_lost() {
+            if !is_changed && !source.signal.is_product && !is_lost() {
                 continue;
             }
             let image = match source.kind {
-                PayloadKind::Light => form.colour(Cow::Borrowed(&layer.image), source.alpha.as_ref()),
+                PayloadKind::Light => form.stored(Cow::Borrowed(&layer.image), &source.signal.multipliers, |_| &None),
                 PayloadKind::Alpha => {
                     let mut image = layer.image.clone();
                     image.planes.iter_mut().flatten().for_each(|alpha| *alpha = alpha.clamp(0.0, 1.0));
@@ -389,10 +423,12 @@ impl<'a> OfPicture<'a> {
                 Some(half_spread) if plain == 3 || plain == 1 => {
                     let image = Cow::Owned(half(&estimate.color, half_spread, sign));
                     // A half whose alpha stays as it was is divided by it.
-                    let alphas = own.color.alphas.as_ref().filter(|_| alpha_of_color.is_none());
-                    let of_half = |it: &Alphas| if sign > 0.0 { it.half_a.clone() } else { it.half_b.clone() };
-                    let alpha = alphas.and_then(of_half).or_else(|| own.alpha.clone());
-                    replacements.push((layer.layer.clone(), form.colour(image, alpha.as_ref()).into_owned()));
+                    let stored = form.stored(image, &own.color.multipliers, |by| match &alpha_of_color {
+                        Some(_) => &None,
+                        None if sign > 0.0 => &by.half_a,
+                        None => &by.half_b,
+                    });
+                    replacements.push((layer.layer.clone(), stored.into_owned()));
                     others.extend(alpha_of_color.as_ref().and_then(|alpha| form.alpha_of_half(&layer.layer, alpha)));
                 }
                 _ => notes.push(format!(
@@ -412,7 +448,7 @@ impl<'a> OfPicture<'a> {
             channels: layer.channels.clone(),
             image: layer.image.clone(),
         });
-        let color = form.colour(Cow::Borrowed(&estimate.color), own.alpha.as_ref());
+        let color = form.stored(Cow::Borrowed(&estimate.color), &own.color.multipliers, |_| &None);
         Self { color, replacements, others, along, dropped, extra: error.into_iter().chain(named).collect() }
     }
 }

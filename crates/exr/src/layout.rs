@@ -251,6 +251,8 @@ mod tests {
             ("title = \"x\"\n[[layer]]\nrole = \"color\"", "has neither name nor file"),
             ("title = \"x\"\n[[layer]]\nname = \"a\"\nrole = \"ignore\"\nquantity = \"not a variance\"", "why"),
             ("title = \"x\"\n[[layer]]\nname = \"{nothing}\"\nrole = \"color\"", "is none of"),
+            ("title = \"x\"\n[[layer]]\nname = \"a\"\nrole = \"color\"\nfactor = \"b\"", "is no light"),
+            ("title = \"x\"\n[[layer]]\nname = \"a\"\nrole = \"light\"\nfactor = \"{of}b\"", "other than {group}"),
         ] {
             let problem = Layout::parse("x", document).err().unwrap_or_default();
             assert!(problem.contains(why), "{document}: {problem}");

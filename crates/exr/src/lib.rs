@@ -27,6 +27,7 @@ mod layer_ref;
 mod layers;
 mod layout;
 mod map_file;
+mod multiplier;
 mod names;
 #[cfg(feature = "programs")]
 pub mod options;

@@ -3,7 +3,6 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::rc::Rc;
 
 use rayon::prelude::*;
 use stein::error::{Error, FileCause, LayerCause, RequestCause, Result};
@@ -11,15 +10,15 @@ use stein::frame::{PayloadKind, SamplesPerPixel, variance_from_image};
 use stein::image::{Extent, Image, Window};
 use stein::text;
 
-use crate::alpha;
 use crate::buffer_set::BufferSet;
 use crate::classify::{Classified, LayerId, Meaning, Rules, Scope, classify, is_whole_numbers};
 use crate::counts;
 use crate::file::ExrFile;
 use crate::layout::{Layout, Quantity, RoleName, Rule};
+use crate::multiplier::{Multiplier, MultiplierKind};
 use crate::request::BufferSetRequest;
 use crate::siblings;
-use crate::source::{self, PayloadSource, Planes, VarianceSource};
+use crate::source::{self, PayloadSource, Picture, Planes, VarianceSource};
 
 /// Header attributes that differ between frames and cameras, but not between seeds.
 const OF_ONE_FRAME: [&str; 5] = ["Frame", "Camera", "Scene", "frame", "camera"];
@@ -37,9 +36,9 @@ pub(crate) struct Reading<'a> {
 }
 
 /// Merges renders with other seeds with the input, in place: those of the request, and those that the layout names.
-/// Afterwards the set's colours, features, lights and alphas are the means of all seeds, and the halves of colours and
-/// features are the means of the seeds of each half. Straight colours are multiplied by the alpha of their seed before.
-/// Everything else stays as the input has it.
+/// Afterwards the set's colours, features, lights, factors and alphas are the means of all seeds, and the halves of
+/// colours and features are the means of the seeds of each half. Layers with multipliers are multiplied by those of their seed
+/// before. Everything else stays as the input has it.
 ///
 /// # Errors
 /// [`Error::File`] for a requested seed that cannot be read, that shows another frame or that is the same render;
@@ -70,7 +69,7 @@ pub(crate) fn merge(set: &mut BufferSet, request: &BufferSetRequest, reading: &R
     set.seed_files = seeds.iter().flat_map(|seed| seed.files.values().skip(1)).map(|file| file.path.clone()).collect();
     set.notes.extend(seeds.iter().flat_map(|seed| seed.notes.clone()));
     let mut merger = Merger::new(&seeds, request, reading);
-    merger.find_straight(set);
+    merger.find_multiplied(set);
     merger.halves(set);
     merger.average(set);
     merger.finish(set);
@@ -406,93 +405,77 @@ struct Merger<'a> {
     /// The files of both halves, by the position of the file that they are halves of.
     halves: BTreeMap<usize, [ExrFile; 2]>,
     notes: Vec<String>,
-    straight: Vec<Straight>,
+    multiplied: Vec<Multiplied>,
 }
 
-/// A layer of straight colours or of their variance.
-struct Straight {
-    id: LayerId,
+/// Channels whose values are multiplied before seeds are merged, or the variance of such channels.
+#[derive(PartialEq)]
+struct Multiplied {
+    planes: Planes,
     is_variance: bool,
-    /// The channel of the input that holds the alpha: its part and position.
-    channel: (usize, usize),
-    window: Window,
-    /// Alpha of the input and of the seeds, in `window`.
-    alphas: Rc<Vec<Vec<f32>>>,
-}
-
-impl Straight {
-    /// Multiplies the values of a column by the alphas of their seeds.
-    fn convert(&self, column: &mut Column, window: Window) {
-        for (seed, alpha) in self.alphas.iter().enumerate() {
-            let aligned = (window != self.window).then(|| {
-                let image = Image { extent: self.window.extent, planes: vec![alpha.clone()] };
-                source::aligned(image, self.window, window, 0.0).planes.swap_remove(0)
-            });
-            let alpha = aligned.as_ref().unwrap_or(alpha);
-            let part = column.part;
-            for (_, values) in column.channels.iter_mut().filter(|(channel, _)| (part, *channel) != self.channel) {
-                let multiply = if self.is_variance { alpha::multiply_variance_plane } else { alpha::multiply_plane };
-                multiply(&mut values[seed], alpha);
-            }
-        }
-    }
+    kind: MultiplierKind,
+    /// The multiplier in the input.
+    by: Planes,
 }
 
 impl<'a> Merger<'a> {
     fn new(seeds: &'a [Seed], request: &'a BufferSetRequest, reading: &'a Reading<'a>) -> Self {
         let (weights, halves) = (Vec::new(), BTreeMap::new());
-        Self { seeds, request, reading, weights, halves, notes: Vec::new(), straight: Vec::new() }
+        Self { seeds, request, reading, weights, halves, notes: Vec::new(), multiplied: Vec::new() }
     }
 
-    /// Finds the layers of straight colours, with the alphas of all seeds as they are before the merge.
-    fn find_straight(&mut self, set: &mut BufferSet) {
-        let mut known: Vec<(Planes, Rc<Vec<Vec<f32>>>)> = Vec::new();
-        for index in 0..set.pictures.len() {
-            let color = &mut set.pictures[index].color;
+    /// Finds the layers that are multiplied by others.
+    fn find_multiplied(&mut self, set: &mut BufferSet) {
+        for picture in &mut set.pictures {
+            let color = &mut picture.color;
             let is_moment = |variance: &mut VarianceSource| variance.quantity == Quantity::SecondMoment;
-            if color.alphas.is_some() && color.variance.take_if(|variance| is_moment(variance)).is_some() {
+            if !color.multipliers.is_empty() && color.variance.take_if(|variance| is_moment(variance)).is_some() {
                 self.notes.push("colour: a second moment of straight colours of several seeds is not used".into());
             }
-            let picture = &set.pictures[index];
-            let signals = std::iter::once(&picture.color).chain(picture.payload_signals());
-            for signal in signals {
-                let Some(alpha) = signal.alphas.as_ref().map(|alphas| &alphas.mean) else { continue };
-                let alphas = match known.iter().find(|(other, _)| other == alpha) {
-                    Some((_, alphas)) => Rc::clone(alphas),
-                    None => {
-                        let alphas = Rc::new(self.alphas(set, alpha));
-                        known.push((alpha.clone(), Rc::clone(&alphas)));
-                        alphas
+            for signal in std::iter::once(&picture.color).chain(picture.payload_signals()) {
+                for Multiplier { kind, mean: by, .. } in &signal.multipliers {
+                    let variance = signal.variance.as_ref().map(|variance| (&variance.planes, true));
+                    for (planes, is_variance) in [(&signal.mean, false)].into_iter().chain(variance) {
+                        let multiplied =
+                            Multiplied { planes: planes.clone(), is_variance, kind: *kind, by: by.clone() };
+                        if !self.multiplied.contains(&multiplied) {
+                            self.multiplied.push(multiplied);
+                        }
                     }
-                };
-                let part = set.part(alpha);
-                let (channel, window) = ((part, alpha.channels[0]), set.files[0].data_window(part));
-                let straight = |planes: &Planes, is_variance| Straight {
-                    id: planes.id(),
-                    is_variance,
-                    channel,
-                    window,
-                    alphas: Rc::clone(&alphas),
-                };
-                self.straight.push(straight(&signal.mean, false));
-                self.straight.extend(signal.variance.as_ref().map(|variance| straight(&variance.planes, true)));
+                }
             }
         }
     }
 
-    /// Returns an alpha of the input and of the seeds. A seed without it counts as opaque.
-    fn alphas(&self, set: &BufferSet, alpha: &Planes) -> Vec<Vec<f32>> {
+    /// Multiplies the values of a column by the multipliers of their seeds. A seed without an alpha counts as opaque;
+    /// one without a factor has that of the input.
+    fn multiply(&self, set: &BufferSet, id: LayerId, column: &mut Column, window: Window) {
         let own = &set.files[0];
-        let part = set.part(alpha);
-        let window = own.data_window(part);
-        let of_seed = |seed: &Seed| match source::same_layer(own, seed.main(), alpha) {
-            Some((part, channels)) => {
-                let image = seed.main().planes(part, &channels);
-                source::aligned(image, seed.main().data_window(part), window, 0.0).planes.swap_remove(0)
+        let of_layer = self.multiplied.iter().filter(|it| it.planes.id() == id);
+        for Multiplied { planes, is_variance, kind, by } in of_layer {
+            let own_part = set.part(by);
+            let of_input = || (own, own_part, by.channels.clone());
+            for seed in 0..=self.seeds.len() {
+                let place = match seed.checked_sub(1).map(|seed| self.seeds[seed].main()) {
+                    None => Some(of_input()),
+                    Some(file) => source::same_layer(own, file, by)
+                        .map(|(part, channels)| (file, part, channels))
+                        .or_else(|| (*kind == MultiplierKind::Factor).then(of_input)),
+                };
+                let Some((file, part, channels)) = place else { continue };
+                let by = source::aligned(file.planes(part, &channels), file.data_window(part), window, 0.0).planes;
+                for (channel, values) in &mut column.channels {
+                    // The layer may have an alpha, too, which is not multiplied.
+                    let Some(position) = planes.channels.iter().position(|it| it == channel) else { continue };
+                    let by = &by[if by.len() == 1 { 0 } else { position }];
+                    if *is_variance {
+                        kind.multiply_variance_plane(&mut values[seed], by);
+                    } else {
+                        kind.multiply_plane(&mut values[seed], by);
+                    }
+                }
             }
-            None => vec![1.0; window.extent.pixels()],
-        };
-        std::iter::once(own.plane(part, alpha.channels[0])).chain(self.seeds.iter().map(of_seed)).collect()
+        }
     }
 
     /// Returns the position of the weights for the layers of a scope in the input.
@@ -553,9 +536,7 @@ impl<'a> Merger<'a> {
             (channel, std::iter::once(own.plane(part, channel)).chain(others).collect())
         });
         let mut column = Column { part, channels: channels.collect() };
-        if let Some(straight) = self.straight.iter().find(|straight| straight.id == planes.id()) {
-            straight.convert(&mut column, window);
-        }
+        self.multiply(set, planes.id(), &mut column, window);
         Ok(column)
     }
 
@@ -695,52 +676,67 @@ impl<'a> Merger<'a> {
         [0, 1].map(|half| Planes { file: at + half, ..planes.clone() })
     }
 
+    /// Returns the layers of the set's own files in an order in which each comes before the layers by which it is
+    /// multiplied, since merging changes these.
+    fn in_order(&self, set: &BufferSet) -> Vec<LayerId> {
+        let layers = |file: usize| (0..set.files[file].layers.len()).map(move |layer| LayerId { file, layer });
+        let mut order: Vec<LayerId> = self.reading.own_files.iter().copied().flat_map(layers).collect();
+        order.sort_by_key(|id| {
+            let of_layer = || self.multiplied.iter().filter(|it| it.planes.id() == *id);
+            let multiplies_others = self.multiplied.iter().any(|it| it.by.id() == *id && it.planes.id() != *id);
+            match (of_layer().next(), multiplies_others) {
+                (Some(_), false) => 0,
+                // A straight colour with its alpha, which is the alpha of other layers, too.
+                (Some(_), true) => 1,
+                (None, _) => 2,
+            }
+        });
+        order
+    }
+
     /// Replaces the layers that are means or variances of samples by those of all seeds together.
     fn average(&mut self, set: &mut BufferSet) {
-        for &file in self.reading.own_files {
-            for layer in 0..set.files[file].layers.len() {
-                let channels = set.files[file].layers[layer].channels.iter().map(|channel| channel.index).collect();
-                let planes = Planes { file, layer, channels };
-                let Some(quantity) = self.averaged(set, &planes) else { continue };
-                let own = &set.files[file].layers[layer];
-                let scope = Scope::of(own, self.meaning(&planes));
-                let (scope, part) = match set.pictures.as_slice() {
-                    // Files beside the input belong to its only picture.
-                    [only] if file > 0 => (only.scope.clone(), set.color_part(0)),
-                    _ if file > 0 => continue,
-                    _ => (scope, own.part),
-                };
-                let column = match self.column(set, &planes) {
-                    Ok(column) => column,
-                    Err(lacking) => {
-                        // Remarks on colours, features and their noise are made with their halves.
-                        let own = &set.files[file];
-                        if !is_used(set, &planes) && file == 0 {
-                            let (layer, lacking) = (own.layers[layer].title(), text::path(&lacking));
-                            let layer = text::name(&layer);
-                            self.notes
-                                .push(format!("layer {layer}: {lacking} lacks it, so that it is of the input alone"));
-                        }
-                        continue;
+        for LayerId { file, layer } in self.in_order(set) {
+            let channels = set.files[file].layers[layer].channels.iter().map(|channel| channel.index).collect();
+            let planes = Planes { file, layer, channels };
+            let Some(quantity) = self.averaged(set, &planes) else { continue };
+            let own = &set.files[file].layers[layer];
+            let scope = Scope::of(own, self.meaning(&planes));
+            let (scope, part) = match set.pictures.as_slice() {
+                // Files beside the input belong to its only picture.
+                [only] if file > 0 => (only.scope.clone(), set.color_part(0)),
+                _ if file > 0 => continue,
+                _ => (scope, own.part),
+            };
+            let column = match self.column(set, &planes) {
+                Ok(column) => column,
+                Err(lacking) => {
+                    // Remarks on colours, features and their noise are made with their halves.
+                    let own = &set.files[file];
+                    if !is_used(set, &planes) && file == 0 {
+                        let (layer, lacking) = (own.layers[layer].title(), text::path(&lacking));
+                        let layer = text::name(&layer);
+                        self.notes.push(format!("layer {layer}: {lacking} lacks it, so that it is of the input alone"));
                     }
-                };
-                let weights = self.weights(set, &scope, part);
-                let nothing = self.nothing(&planes, &column);
-                let weights = &self.weights[weights];
-                let weights = weights.in_window(source::window_of(&set.files[file], column.part, weights.window));
-                set.mark_converted(planes.id());
-                for (channel, values) in &column.channels {
-                    let merged: Vec<f32> = match quantity {
-                        Quantity::Count => {
-                            (0..values[0].len()).map(|pixel| values.iter().map(|plane| plane[pixel]).sum()).collect()
-                        }
-                        Quantity::VarianceOfMean => {
-                            weights.merged(values, &nothing).map(|all| all.of_squares as f32).collect()
-                        }
-                        _ => weights.merged(values, &nothing).map(|all| all.mean as f32).collect(),
-                    };
-                    set.files[file].set_plane(column.part, *channel, merged);
+                    continue;
                 }
+            };
+            let weights = self.weights(set, &scope, part);
+            let nothing = self.nothing(&planes, &column);
+            let weights = &self.weights[weights];
+            let weights = weights.in_window(source::window_of(&set.files[file], column.part, weights.window));
+            set.mark_products(planes.id());
+            for (channel, values) in &column.channels {
+                let merged: Vec<f32> = match quantity {
+                    Quantity::Count => {
+                        (0..values[0].len()).map(|pixel| values.iter().map(|plane| plane[pixel]).sum()).collect()
+                    }
+                    Quantity::VarianceOfMean => {
+                        weights.merged(values, &nothing).map(|all| all.of_squares as f32).collect()
+                    }
+                    _ => weights.merged(values, &nothing).map(|all| all.mean as f32).collect(),
+                };
+                set.files[file].set_plane(column.part, *channel, merged);
             }
         }
     }
@@ -750,7 +746,8 @@ impl<'a> Merger<'a> {
         if is_whole_numbers(&set.files[planes.file], planes.layer) {
             return None;
         }
-        if set.pictures.iter().any(|picture| picture.is_payload(planes.id())) {
+        let is_made_of = |picture: &Picture| picture.is_payload(planes.id()) || picture.is_multiplier(planes.id());
+        if set.pictures.iter().any(is_made_of) {
             return Some(Quantity::Mean);
         }
         // A colour that no rule names, or a feature that no rule names but comes with a variance.

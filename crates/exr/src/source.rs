@@ -4,10 +4,10 @@ use stein::error::LayerCause;
 use stein::frame::{PayloadKind, RawSignal, SamplesPerPixel, fill_unknown_variance};
 use stein::image::{Image, Window};
 
-use crate::alpha;
 use crate::classify::{LayerId, Scope};
 use crate::file::ExrFile;
 use crate::layout::{Quantity, Unit};
+use crate::multiplier::Multiplier;
 
 /// The variance of a pixel of which it is not known. No variance is below 0 by more than round-off.
 const UNKNOWN: f32 = f32::NEG_INFINITY;
@@ -58,24 +58,31 @@ pub(crate) struct SignalSource {
     /// The value of pixels outside of the layer's data window.
     pub(crate) outside: f32,
     pub(crate) unit: Option<Unit>,
-    /// The alphas by which the stored values are to be multiplied; `None` for values that are as they should be.
-    pub(crate) alphas: Option<Alphas>,
-}
-
-/// Alphas of straight colours.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Alphas {
-    pub(crate) mean: Planes,
-    /// Alpha of half A; `None` takes that of the mean.
-    pub(crate) half_a: Option<Planes>,
-    /// Alpha of half B; `None` takes that of the mean.
-    pub(crate) half_b: Option<Planes>,
+    /// The layers by which the stored values are multiplied, in this order. An output is divided by them.
+    pub(crate) multipliers: Vec<Multiplier>,
+    /// Whether the values in memory are products already, because seeds were merged.
+    pub(crate) is_product: bool,
 }
 
 impl SignalSource {
-    /// Returns the source of a mean without noise, multiplied by its alpha.
+    /// Returns the source of a mean without noise and multipliers.
     pub(crate) fn new(mean: Planes) -> Self {
-        Self { mean, half_a: None, half_b: None, variance: None, miss: None, outside: 0.0, unit: None, alphas: None }
+        Self {
+            mean,
+            half_a: None,
+            half_b: None,
+            variance: None,
+            miss: None,
+            outside: 0.0,
+            unit: None,
+            multipliers: Vec::new(),
+            is_product: false,
+        }
+    }
+
+    /// Returns the layers by which the values in memory are still to be multiplied.
+    pub(crate) fn pending_multipliers(&self) -> &[Multiplier] {
+        if self.is_product { &[] } else { &self.multipliers }
     }
 
     /// Returns all planes, the mean first.
@@ -94,12 +101,8 @@ pub(crate) struct PayloadSource {
     pub(crate) name: String,
     pub(crate) kind: PayloadKind,
     pub(crate) signal: SignalSource,
-    /// The alpha that belongs to a light; `None` for an alpha and without one.
-    pub(crate) alpha: Option<Planes>,
     /// Layers of the input with halves and variances, which do not belong to the denoised layer.
     pub(crate) stale: Vec<usize>,
-    /// Whether straight values were multiplied by their alpha when seeds were merged.
-    pub(crate) is_converted: bool,
 }
 
 /// A picture: a colour with its features.
@@ -147,6 +150,12 @@ impl Picture {
     /// Whether a layer tells the noise of one that is filtered along with the colour.
     pub(crate) fn is_stale(&self, id: LayerId) -> bool {
         id.file == 0 && self.payload.iter().any(|source| source.stale.contains(&id.layer))
+    }
+
+    /// Whether the colour or a layer that is filtered along with it is multiplied by a layer.
+    pub(crate) fn is_multiplier(&self, id: LayerId) -> bool {
+        let signals = std::iter::once(&self.color).chain(self.payload_signals());
+        signals.flat_map(|signal| &signal.multipliers).any(|multiplier| multiplier.mean.id() == id)
     }
 
     /// Whether a layer is filtered along with the colour.
@@ -212,26 +221,24 @@ pub(crate) fn settled_from<E>(
                 all.filter(|value| **value == unknown).for_each(|value| *value = UNKNOWN);
             }
             to_variance_of_mean(&mut values, variance.quantity, mean.as_ref(), samples);
-            if let Some(alphas) = &source.alphas {
-                alpha::multiply_variance(&mut values, &planes(&alphas.mean, 0.0)?.planes[0]);
+            for multiplier in source.pending_multipliers() {
+                multiplier.kind.multiply_variance(&mut values, &planes(&multiplier.mean, 0.0)?);
             }
             Some(values)
         }
     };
-    let of_mean = source.alphas.as_ref().map(|alphas| &alphas.mean);
-    let mut image = |wanted: &Planes, of_half: Option<&Planes>| {
-        let mut image = planes(wanted, source.outside)?;
-        if let Some(alpha) = of_half.or(of_mean) {
-            alpha::multiply(&mut image, &planes(alpha, 0.0)?.planes[0]);
+    let mut product = |stored: &Planes, of_half: fn(&Multiplier) -> &Option<Planes>| {
+        let mut image = planes(stored, source.outside)?;
+        for multiplier in source.pending_multipliers() {
+            let by = of_half(multiplier).as_ref().unwrap_or(&multiplier.mean);
+            multiplier.kind.multiply(&mut image, &planes(by, 0.0)?);
         }
         Ok(image)
     };
-    let [of_a, of_b] =
-        source.alphas.as_ref().map_or([None; 2], |alphas| [alphas.half_a.as_ref(), alphas.half_b.as_ref()]);
     let mut signal = RawSignal {
-        mean: image(&source.mean, None)?,
-        half_a: source.half_a.as_ref().map(|half| image(half, of_a)).transpose()?,
-        half_b: source.half_b.as_ref().map(|half| image(half, of_b)).transpose()?,
+        mean: product(&source.mean, |_| &None)?,
+        half_a: source.half_a.as_ref().map(|half| product(half, |by| &by.half_a)).transpose()?,
+        half_b: source.half_b.as_ref().map(|half| product(half, |by| &by.half_b)).transpose()?,
         variance_of_mean,
     };
     let unknown = source.variance.as_ref().and_then(|variance| variance.unknown);

@@ -113,6 +113,9 @@ pub(crate) fn layer_uses(set: &BufferSet, classified: &[Classified], rules: &[Ru
                     found.picture = Some(picture);
                     found.note = Some("left out of an output: the noise of a layer that is denoised along".into());
                 }
+                if found.role == Role::Untouched && set.pictures.iter().any(|picture| picture.is_multiplier(id)) {
+                    found.note.get_or_insert_with(|| "only as a factor of layers that are denoised along".into());
+                }
                 // The reason why a layer is not used is none where a request wants it.
                 let why = rule.filter(|_| !found.is_along).and_then(|rule| rule.why.clone());
                 found.note = found.note.or(why);

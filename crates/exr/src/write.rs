@@ -107,6 +107,7 @@ impl std::fmt::Display for WriteReport {
 /// errors of the file system.
 pub fn write_denoised(mut set: BufferSet, output: &Path, denoised: &DenoisedLayers<'_>) -> Result<WriteReport> {
     set.restore_payload(|_, _| true)?;
+    set.divide_products(|_, source| source.is_some());
     write_pictures(set, output, std::slice::from_ref(denoised), Vec::new())
 }
 

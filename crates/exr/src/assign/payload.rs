@@ -3,14 +3,15 @@
 use super::{Companions, Files, LeftOut};
 use crate::along::{AlphaEncoding, Aovs, is_named};
 use crate::alpha::ALPHA;
-use crate::classify::{LayerId, is_whole_numbers};
+use crate::classify::{LayerId, Meaning, is_whole_numbers};
 use crate::estimate::PREFIX;
 use crate::layers::FileLayer;
-use crate::layout::{Layout, Quantity, RoleName};
+use crate::layout::{Layout, Pattern, Quantity, RoleName};
+use crate::multiplier::{Multiplier, MultiplierKind};
 use crate::names;
 use crate::picture_file::Format;
 use crate::request::BufferSetRequest;
-use crate::source::{Alphas, PayloadSource, Picture, Planes, SignalSource};
+use crate::source::{PayloadSource, Picture, Planes, SignalSource};
 use stein::error::{Error, FileCause, LayerCause, Result};
 use stein::frame::PayloadKind;
 
@@ -52,7 +53,8 @@ impl Files {
             let own_alpha = self.alpha_in(id);
             let alpha = own_alpha.clone().or_else(|| picture.alpha.clone());
             let name = self.layer(id).name.clone();
-            found.push(self.payload(name, PayloadKind::Light, mean, alpha, picture, request));
+            let factor = self.factor(id, picture, mean.channels.len());
+            found.push(self.light(name, mean, [factor, alpha], picture, request));
             if let Some(alpha) = own_alpha.filter(|_| !picture.keeps_alpha) {
                 found.push(self.alpha_payload(alpha, picture, request));
             }
@@ -70,7 +72,7 @@ impl Files {
         picture.payload = found;
         if picture.is_straight {
             let halves = [picture.color.half_a.clone(), picture.color.half_b.clone()];
-            picture.color.alphas = picture.alpha.clone().map(|alpha| self.alphas(alpha, halves));
+            picture.color.multipliers.extend(picture.alpha.clone().map(|alpha| self.alpha_multiplier(alpha, halves)));
         }
     }
 
@@ -84,7 +86,26 @@ impl Files {
             (name, [channel]) if layer.channels.len() > 1 => format!("{name}.{}", suffix(*channel)),
             (name, _) => name.to_owned(),
         };
-        self.payload(name, PayloadKind::Alpha, alpha, None, picture, request)
+        self.payload(name, PayloadKind::Alpha, alpha, picture, request)
+    }
+
+    /// Returns the source of a light with the layers by which it is multiplied: its factor first, then its alpha if
+    /// colours are straight.
+    fn light(
+        &self,
+        name: String,
+        mean: Planes,
+        [factor, alpha]: [Option<Planes>; 2],
+        picture: &Picture,
+        request: &BufferSetRequest,
+    ) -> PayloadSource {
+        let mut source = self.payload(name, PayloadKind::Light, mean, picture, request);
+        let signal = &mut source.signal;
+        let halves = [signal.half_a.clone(), signal.half_b.clone()];
+        signal.multipliers.extend(factor.map(|factor| self.factor_multiplier(factor, &halves)));
+        let alpha = alpha.filter(|_| picture.is_straight);
+        signal.multipliers.extend(alpha.map(|alpha| self.alpha_multiplier(alpha, halves)));
+        source
     }
 
     fn payload(
@@ -92,7 +113,6 @@ impl Files {
         name: String,
         kind: PayloadKind,
         mean: Planes,
-        alpha: Option<Planes>,
         picture: &Picture,
         request: &BufferSetRequest,
     ) -> PayloadSource {
@@ -118,11 +138,7 @@ impl Files {
             found.leave_out_single_half(&self.list);
             found.put_into(&mut signal);
         }
-        if picture.is_straight && kind == PayloadKind::Light {
-            let halves = [signal.half_a.clone(), signal.half_b.clone()];
-            signal.alphas = alpha.clone().map(|alpha| self.alphas(alpha, halves));
-        }
-        PayloadSource { name, kind, signal, alpha, stale, is_converted: false }
+        PayloadSource { name, kind, signal, stale }
     }
 
     /// Whether a layer is a half or a variance of the layer `of`.
@@ -134,10 +150,56 @@ impl Files {
         })
     }
 
-    /// Returns the alphas of a mean and its halves, each of which may have its own.
-    fn alphas(&self, mean: Planes, halves: [Option<Planes>; 2]) -> Alphas {
+    /// Returns the alpha `mean` as a multiplier. Each of the halves may have an alpha of its own in its layer.
+    fn alpha_multiplier(&self, mean: Planes, halves: [Option<Planes>; 2]) -> Multiplier {
         let [half_a, half_b] = halves.map(|half| half.and_then(|half| self.alpha_in(half.id())));
-        Alphas { mean, half_a, half_b }
+        Multiplier { kind: MultiplierKind::Alpha, mean, half_a, half_b }
+    }
+
+    /// Returns the factor `mean` as a multiplier. Each of the halves is multiplied by the same half of the factor if
+    /// there is one.
+    fn factor_multiplier(&self, mean: Planes, halves: &[Option<Planes>; 2]) -> Multiplier {
+        let own = |half: &Option<Planes>, quantity| {
+            half.as_ref()?;
+            let is_half = |meaning: &Meaning| meaning.of == Some(mean.id()) && meaning.quantity == quantity;
+            let found = self.ids().find(|id| self.meaning(*id).is_some_and(is_half))?;
+            self.matching_channels(&mean, found)
+        };
+        let (half_a, half_b) = (own(&halves[0], Quantity::HalfA), own(&halves[1], Quantity::HalfB));
+        Multiplier { kind: MultiplierKind::Factor, mean, half_a, half_b }
+    }
+
+    /// Returns the channels of the layer by which a light with so many channels is multiplied; `None` if its rule names
+    /// no such layer, or none that the light's part and view have.
+    fn factor(&self, id: LayerId, picture: &Picture, channels: usize) -> Option<Planes> {
+        let found = self.factor_of(id).filter(|found| *found != picture.color.mean.id())?;
+        let layer = self.layer(found);
+        let all = match (layer.channel("R"), layer.channel("G"), layer.channel("B")) {
+            (Some(r), Some(g), Some(b)) => vec![r, g, b],
+            _ => layer.without_alpha(),
+        };
+        let is_usable = (all.len() == 1 || all.len() == channels) && !is_whole_numbers(&self.list[0], found.layer);
+        is_usable.then_some(Planes { file: found.file, layer: found.layer, channels: all })
+    }
+
+    /// Returns the layer by which the rule of a light of the input says that it is multiplied.
+    fn factor_of(&self, id: LayerId) -> Option<LayerId> {
+        let own = self.layer(id);
+        let group = &self.meaning(id)?.group;
+        let named = |pattern: &Pattern| {
+            let is_it = |other: &FileLayer| {
+                let fits = pattern.fit(&other.key).is_some_and(|fit| !pattern.has("{group}") || fit.group == *group);
+                fits && (other.scope_part, &other.view) == (own.scope_part, &own.view) && other.name != own.name
+            };
+            self.list[0].layers.iter().position(is_it)
+        };
+        let layer = self.rule(id)?.factors.iter().find_map(named)?;
+        Some(LayerId { file: 0, layer })
+    }
+
+    /// Whether a light of the input is multiplied by a layer.
+    fn is_factor(&self, id: LayerId) -> bool {
+        self.ids().any(|other| other.file == 0 && self.factor_of(other) == Some(id))
     }
 
     /// Returns the alpha of a layer with other channels.
@@ -206,6 +268,7 @@ impl Files {
             None if self.has_companions(id) && !aovs_name(aovs, &layer.name) => {
                 return Some("it is a feature, which guides the filter and stays as it is");
             }
+            _ if self.is_factor(id) => return Some("other layers are multiplied by it, and it stays as it is"),
             _ => {}
         }
         self.light_channels(id).is_none().then_some("it has no channels R, G and B, nor a luminance Y")

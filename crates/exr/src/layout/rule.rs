@@ -145,6 +145,8 @@ pub(super) struct RuleDocument {
     unit: Option<Unit>,
     miss: Option<f32>,
     unknown: Option<f32>,
+    #[serde(default)]
+    factor: Texts,
     why: Option<String>,
     #[serde(default)]
     fallback: bool,
@@ -171,6 +173,8 @@ pub(crate) struct Rule {
     pub(crate) miss: Option<f32>,
     /// The value of a variance that is not known.
     pub(crate) unknown: Option<f32>,
+    /// Patterns of the layer by which this light is multiplied; earlier ones are preferred.
+    pub(crate) factors: Vec<Pattern>,
     /// The reason why the layer is not used.
     pub(crate) why: Option<String>,
     /// Whether this colour is used only if the file has no other.
@@ -183,6 +187,7 @@ impl RuleDocument {
     pub(super) fn rule(self) -> Result<Rule, String> {
         let names = self.name.patterns(self.exact)?;
         let files = self.file.patterns(self.exact)?;
+        let factors = self.factor.patterns(self.exact)?;
         let Some(first) = names.iter().chain(&files).next().map(|pattern| pattern.text.clone()) else {
             return Err("a layer has neither name nor file".into());
         };
@@ -196,6 +201,12 @@ impl RuleDocument {
         if self.quantity == Quantity::NotAVariance && self.why.is_none() {
             return Err(format!("layer '{first}' does not say why it is not a variance"));
         }
+        if !factors.is_empty() && self.role != Some(RoleName::Light) {
+            return Err(format!("layer '{first}' has a factor, but is no light"));
+        }
+        if let Some(factor) = factors.iter().find(|factor| factor.has("{of}") || factor.has("{stem}")) {
+            return Err(format!("layer '{first}': its factor '{}' has a place other than {{group}}", factor.text));
+        }
         Ok(Rule {
             names,
             files,
@@ -205,6 +216,7 @@ impl RuleDocument {
             unit: self.unit,
             miss: self.miss,
             unknown: self.unknown,
+            factors,
             why: self.why,
             is_fallback: self.fallback,
             is_copy: self.copy,
@@ -224,6 +236,7 @@ impl Rule {
             unit: None,
             miss: None,
             unknown: None,
+            factors: Vec::new(),
             why: None,
             is_fallback: false,
             is_copy: false,
