@@ -635,13 +635,11 @@ impl<'a> Assembly<'a> {
                     Share::None => {}
                     Share::Whole => to.fill(1.0),
                     Share::Lane(Lane { buffer, plane, component }) => {
+                        let to = &mut to[strip.first * width..];
                         rows.read(buffer, *plane, &mut |first, values| {
                             let pixels = values.chunks_exact(4).map(|pixel| pixel[*component as usize]);
-                            to[strip.first * width + first..]
-                                .iter_mut()
-                                .zip(pixels)
-                                .for_each(|(to, share)| *to = share);
-                        })?
+                            to[first..].iter_mut().zip(pixels).for_each(|(to, share)| *to = share);
+                        })?;
                     }
                 }
             }
