@@ -369,6 +369,84 @@ fn alpha_stays_an_opacity() {
     }
 }
 
+/// A premultiplied disc whose rim is blurred over 16 pixels; colour and alpha come from the same 16 samples per pixel.
+#[test]
+fn a_noisy_rim_keeps_its_colour_and_loses_its_noise() {
+    const SIDE: usize = 64;
+    const SAMPLES: usize = 16;
+    const COLOR: [f32; 3] = [0.8, 0.4, 0.2];
+    let extent = Extent { width: SIDE as u32, height: SIDE as u32 };
+    let mut random = Random(16);
+    let distance = |pixel: usize| {
+        let from_middle = |position: usize| position as f64 + 0.5 - SIDE as f64 / 2.0;
+        from_middle(pixel % SIDE).hypot(from_middle(pixel / SIDE))
+    };
+    let truth: Vec<f32> =
+        (0..extent.pixels()).map(|pixel| ((24.0 - distance(pixel)) / 16.0).clamp(0.0, 1.0) as f32).collect();
+    let (mut alpha, mut spread, mut variance) = (Vec::new(), Vec::new(), Vec::new());
+    for pixel in 0..extent.pixels() {
+        let mut hits = [0.0_f32; 2];
+        for sample in 0..SAMPLES {
+            let is_hit = distance(pixel) < 8.0 + 16.0 * random.uniform();
+            hits[sample % 2] += if is_hit { 1.0 } else { 0.0 };
+        }
+        let (half, all) = (SAMPLES as f32 / 2.0, SAMPLES as f32);
+        let mean = (hits[0] + hits[1]) / all;
+        alpha.push(mean);
+        spread.push((hits[0] - hits[1]) / half / 2.0);
+        variance.push(mean * (1.0 - mean) / (all - 1.0));
+    }
+    let of_color = |values: &[f32], power: i32| Image {
+        extent,
+        planes: COLOR.iter().map(|color| values.iter().map(|value| value * color.powi(power)).collect()).collect(),
+    };
+    let color = Signal {
+        mean: of_color(&alpha, 1),
+        half_spread: Some(of_color(&spread, 1)),
+        variance_of_mean: Some(of_color(&variance, 2)),
+    };
+    let image = |plane: &[f32]| Image { extent, planes: vec![plane.to_vec()] };
+    let layer = PayloadLayer {
+        name: "A".into(),
+        kind: PayloadKind::Alpha,
+        mean: image(&alpha),
+        half_spread: Some(image(&spread)),
+    };
+    let frame = with_payload(frames::new_frame(color, Vec::new()), vec![layer]);
+    // Squared error of the picture over a white background.
+    let error = |color: &Image, alpha: &[f32]| -> f64 {
+        let channel = |(channel, plane): (usize, &Vec<f32>)| -> f64 {
+            let over = |value: f32, alpha: f32| f64::from(value + 1.0 - alpha);
+            let values = plane.iter().zip(alpha).zip(&truth);
+            values
+                .map(|((value, alpha), truth)| (over(*value, *alpha) - over(COLOR[channel] * truth, *truth)).powi(2))
+                .sum()
+        };
+        color.planes.iter().enumerate().map(channel).sum()
+    };
+    for method in Method::all() {
+        let estimate = denoised(method, &[&frame]);
+        let denoised = &estimate.payload[0].image.planes[0];
+        let (before, after) = (error(&frame.color().mean, &alpha), error(&estimate.color, denoised));
+        let with_noisy_alpha = error(&estimate.color, &alpha);
+        assert!(after < 0.4 * before, "{}: error {after} of {before}", method.name());
+        assert!(after < 0.4 * with_noisy_alpha, "{}: {after}, with the noisy alpha {with_noisy_alpha}", method.name());
+        for (pixel, alpha) in denoised.iter().enumerate() {
+            for (plane, color) in estimate.color.planes.iter().zip(COLOR) {
+                let rounding = 1e-6 + 1e-4 * alpha * color;
+                assert!(
+                    (plane[pixel] - alpha * color).abs() <= rounding,
+                    "{}: {} over {alpha}",
+                    method.name(),
+                    plane[pixel]
+                );
+            }
+            let is_far = distance(pixel) > 24.0 + f64::from(method.window_radius()) / 2.0;
+            assert!(!is_far || *alpha < 1e-3, "{}: alpha {alpha} far from the disc", method.name());
+        }
+    }
+}
+
 #[test]
 fn layers_that_cannot_change_or_that_a_frame_lacks_stay_as_they_are() {
     let shot: Vec<Frame> = (0..2).map(|seed| with_spikes(seed, EVERYTHING)).collect();

@@ -65,6 +65,7 @@ struct Blended {
     extent: IVec2,
 }
 
+#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 fn blended(
     gpu: &Gpu,
     case: Case,
