@@ -250,17 +250,18 @@ impl Denoiser {
         }
     }
 
-    /// Cuts the frame into strips whose buffers fit with the layers of one of so many rounds.
+    /// Cuts the frame into strips whose buffers fit with the layers of one round of at most so many.
     fn cut_for(
         &self,
         window: &Frames<&Frame>,
         units: &Units,
         plan: &Plan,
         options: &Options,
-        rounds: usize,
+        most_rounds: usize,
     ) -> Result<Cut> {
         let extent = window.own.extent();
-        let groups = units.payload.groups().div_ceil(rounds);
+        let groups = units.payload.groups().div_ceil(most_rounds);
+        let rounds = units.payload.groups().div_ceil(groups.max(1)).max(1);
         let dry_run = |limit, strips: &[Strip]| self.dry_run(window, units, groups, plan, limit, strips);
         let whole = dry_run(self.max_memory, &[Strip::whole(extent)])?;
         let memory = self.memory(window.own, whole.kept_planes, options)?;

@@ -58,10 +58,10 @@
 //! of two between the variance of a half and that of the mean is settled once, where the spread is made.
 //!
 //! # Layers along
-//! A frame may have a payload ([`Frame::payload`]): light groups, AOVs and alpha. Every filter averages these layers with
-//! the weights that the colour has, and every later step does to them what it does to the colour, so that the sum of
-//! denoised layers is the denoised sum. [`stage::payload`] holds a stage for each such step. Layers that do not fit into
-//! memory together are filtered in rounds, each of which filters the colour anew.
+//! A frame may have a payload ([`Frame::payload`]): light groups, AOVs and alpha. Every filter averages these layers
+//! with the weights that the colour has, and every later step does to them what it does to the colour, so that the sum
+//! of denoised layers is the denoised sum. [`stage::payload`] holds a stage for each such step. Layers that do not fit
+//! into memory together are filtered in rounds, each of which filters the colour anew.
 //!
 //! # Where to start
 //! [`Denoiser::denoise`] takes frames in host memory. [`Denoiser::record`] is for a renderer that keeps its buffers on

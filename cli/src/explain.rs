@@ -14,6 +14,7 @@ pub(crate) struct Explained {
     /// Time that the host took to analyse the frames, in seconds.
     analysis_seconds: f64,
     strips: usize,
+    rounds: usize,
     steps: Vec<ExplainedStep>,
 }
 
@@ -49,6 +50,7 @@ impl Explained {
         Self {
             analysis_seconds: plan.analysis_seconds,
             strips: plan.strips,
+            rounds: plan.rounds,
             steps: plan.steps().into_iter().map(explain).collect(),
         }
     }
@@ -80,6 +82,11 @@ impl Explained {
         } else {
             "in one piece, because it fits".to_owned()
         };
-        format!("  looked at in {}; {strips}\n{}", seconds(self.analysis_seconds), table(&rows, 3))
+        let rounds = if self.rounds > 1 {
+            format!(", in {} rounds, because the layers along do not fit together", self.rounds)
+        } else {
+            String::new()
+        };
+        format!("  looked at in {}; {strips}{rounds}\n{}", seconds(self.analysis_seconds), table(&rows, 3))
     }
 }

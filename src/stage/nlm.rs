@@ -409,7 +409,8 @@ pub(super) struct Chunk<'a> {
     pub(super) last: bool,
     /// Share of all pixels that are done once this strip is complete, from 0 to 1.
     pub(super) done: f32,
-    /// The most bytes that one value of four numbers takes for all pixels and pairs of offsets of a chunk of this strip.
+    /// The most bytes that one value of four numbers takes for all pixels and pairs of offsets in a chunk of this
+    /// strip.
     pub(super) most_pair_bytes: u64,
 }
 

@@ -202,8 +202,8 @@ pub fn payload_blend(
     payload.iter().zip(sums).map(blend).collect()
 }
 
-/// Mixes two versions of a payload by the share that the second one has in each pixel. Gives their buffers back group by
-/// group.
+/// Mixes two versions of a payload by the share that the second one has in each pixel. Gives their buffers back group
+/// by group.
 ///
 /// # Errors
 /// As [`Recorder::take`] and [`Recorder::dispatch`].

@@ -520,8 +520,8 @@ fn with_factor(folder: &Path) -> Option<String> {
     Some(layout.to_str().unwrap().to_owned())
 }
 
-/// A light of `light` in red, twice as much in green and thrice in blue, with a colour that is 0 in pixel 1, negative in
-/// pixel 2, infinite in pixel 3 and not a number in pixel 4. Elsewhere the colour is `factor` in red, a half of it in
+/// A light of `light` in red, twice as much in green and thrice in blue, with a colour that is 0 in pixel 1, negative
+/// in pixel 2, infinite in pixel 3 and not a number in pixel 4. Elsewhere the colour is `factor` in red, a half of it in
 /// green and a fourth in blue.
 fn quotient(light: f32, factor: f32) -> Part {
     let factor_at = move |pixel: usize| match pixel {

@@ -1,5 +1,5 @@
-//! The stages of the payload: layers averaged with the weights of the candidates, blended, mixed, chosen by scale, taken
-//! as halves, and freed from spikes where the colour has them.
+//! The stages of the payload: layers averaged with the weights of the candidates, blended, mixed, chosen by scale,
+//! taken as halves, and freed from spikes where the colour has them.
 
 use std::sync::Arc;
 

@@ -251,7 +251,8 @@ pub struct LayerUse {
     /// The noise of layers that are denoised along, which an output leaves out, belongs to their picture.
     pub picture: Option<usize>,
     /// Whether the layer, a light or an alpha, is denoised along with the colour. An output keeps other lights and
-    /// alphas as they are. The alpha of the colour's own layer is in [`BufferSet::payload`](crate::BufferSet::payload) alone.
+    /// alphas as they are. The alpha of the colour's own layer is in
+    /// [`BufferSet::payload`](crate::BufferSet::payload) alone.
     pub is_along: bool,
     /// Quantity of a variance that is converted: a variance of one sample or a second moment; of a layer that is not
     /// used, if it is easily mistaken for a variance.

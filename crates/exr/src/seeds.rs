@@ -37,8 +37,8 @@ pub(crate) struct Reading<'a> {
 
 /// Merges renders with other seeds with the input, in place: those of the request, and those that the layout names.
 /// Afterwards the set's colours, features, lights, factors and alphas are the means of all seeds, and the halves of
-/// colours and features are the means of the seeds of each half. Layers with multipliers are multiplied by those of their seed
-/// before. Everything else stays as the input has it.
+/// colours and features are the means of the seeds of each half. Layers with multipliers are multiplied by those of
+/// their seed before. Everything else stays as the input has it.
 ///
 /// # Errors
 /// [`Error::File`] for a requested seed that cannot be read, that shows another frame or that is the same render;
