@@ -35,6 +35,11 @@ fn candidates() -> (&'static str, Vec<Definition>) {
     ("CANDIDATES", numbers(&[1, 3, 5, 8]))
 }
 
+/// Numbers of planes in a group of a payload.
+fn planes() -> (&'static str, Vec<Definition>) {
+    ("PLANES", numbers(&[1, 2, 3, 4]))
+}
+
 /// Filters of a pass over the window that take part.
 fn takes_part() -> Vec<(&'static str, Vec<Definition>)> {
     ["SMALL", "LARGE", "FEATURES_ALONE"].map(|name| (name, flags())).to_vec()
@@ -153,7 +158,7 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
         "nlm_filter" => {
             let shapes = combinations(&[
                 ("PATCH_RADIUS", numbers(&[0, 1, 3, 5])),
-                ("PAYLOAD_PLANES", numbers(&[1, 2])),
+                ("PAYLOAD_PLANES", numbers(&[1, 2, 4])),
                 ("PIXELS", numbers(&[1, 4])),
                 ("PATCHWISE", flags()),
                 ("RESIDUAL", flags()),
@@ -168,6 +173,19 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
             ]);
             Some(with_rules(&[shapes, narrow].concat()))
         }
+        "payload_accumulate" => {
+            let sets = combinations(
+                &[&[planes(), ("PIXELS", numbers(&[1, 4])), ("ENDS_OWN_FRAME", flags())], &takes_part()[..]].concat(),
+            );
+            Some(sets.into_iter().filter_map(as_a_pass).collect())
+        }
+        "payload_blend" => Some(combinations(&[candidates(), planes(), ("SHARED", flags()), ("FRAMES", flags())])),
+        "payload_mix" => Some(combinations(&[("SHARED", flags())])),
+        "payload_level" => {
+            Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])), planes(), ("SPREAD", flags())]))
+        }
+        "payload_spread" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])), planes()])),
+        "payload_scale" | "payload_half" => none,
         "nlm_window" => {
             Some(with_rules(&combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PATCHWISE", flags())])))
         }
@@ -211,7 +229,7 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
             let left = combinations(
                 &[
                     &takes_part()[..],
-                    &["DERIVATIVES", "HALVES", "GREY", "NEAR", "OTHER_FRAME"].map(|name| (name, flags())),
+                    &["DERIVATIVES", "HALVES", "GREY", "NEAR", "OTHER_FRAME", "WEIGHTS"].map(|name| (name, flags())),
                 ]
                 .concat(),
             );
