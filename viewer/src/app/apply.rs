@@ -1,10 +1,13 @@
 //! Effects of actions.
 
+use std::sync::Arc;
+
 use eframe::egui::{self, Context};
 use stein::Extent;
 
 use super::Viewer;
 use crate::action::Action;
+use crate::layer::{Group, Layer};
 use crate::settings::Parameters;
 use crate::view::{Compare, Display};
 use crate::worker::Task;
@@ -63,6 +66,13 @@ impl Viewer {
                 if let Some(other) = self.view.other.take() {
                     self.view.other = Some(std::mem::replace(&mut self.view.layer, other));
                 }
+            }
+            Action::ShowCounterpart => {
+                let name = self.counterpart().map(|layer| layer.name().to_owned());
+                name.into_iter().for_each(|name| {
+                    self.view.layer = name;
+                    self.scrolls_to_layer = true;
+                });
             }
             Action::Compare(compare) => self.compare(compare),
 
@@ -151,14 +161,22 @@ impl Viewer {
         self.view.reveals_pinned = true;
     }
 
+    /// Returns the layer with the same quantity as layer A after denoising, or before for a denoised layer.
+    fn counterpart(&self) -> Option<&Arc<Layer>> {
+        self.document.as_ref()?.counterpart(self.layer()?.name())
+    }
+
     /// Compares in this way. Chooses the likeliest layer B if none is marked.
     pub fn compare(&mut self, compare: Compare) {
         self.view.compare = compare;
         if compare != Compare::Single && self.other().is_none() {
+            // The references of the layers that are denoised along are not read.
+            let own = self.counterpart().filter(|layer| layer.description.group == Group::Along);
+            let own = own.map(|layer| layer.name().to_owned());
             let likeliest = ["reference", "noisy", "result"]
                 .into_iter()
                 .find(|name| *name != self.view.layer && self.has_layer(name));
-            self.view.other = likeliest.map(ToOwned::to_owned);
+            self.view.other = own.or_else(|| likeliest.map(ToOwned::to_owned));
         }
     }
 }
