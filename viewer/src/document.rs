@@ -20,6 +20,7 @@ use crate::files::short_name;
 use crate::layer::{Description, Group, Kind, Layer};
 use crate::settings::Parameters;
 
+pub use along::counterpart;
 pub use inputs::{drawn_layer, input_layers, reference_layer};
 pub use outputs::output_layers;
 
@@ -414,16 +415,6 @@ impl Document {
     /// Returns the layer with this name.
     pub fn layer(&self, name: &str) -> Option<&Arc<Layer>> {
         self.layers.iter().find(|layer| layer.name() == name)
-    }
-
-    /// Returns the layer with the same quantity after denoising, or before for a denoised layer: of the colour, and of
-    /// the layers that are denoised along.
-    pub fn counterpart(&self, name: &str) -> Option<&Arc<Layer>> {
-        match name {
-            "noisy" => self.layer("result"),
-            "result" => self.layer("noisy"),
-            _ => self.layer(&along::counterpart(name)?),
-        }
     }
 }
 

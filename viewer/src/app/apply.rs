@@ -1,13 +1,11 @@
 //! Effects of actions.
 
-use std::sync::Arc;
-
 use eframe::egui::{self, Context};
 use stein::Extent;
 
 use super::Viewer;
 use crate::action::Action;
-use crate::layer::{Group, Layer};
+use crate::document::counterpart;
 use crate::settings::Parameters;
 use crate::view::{Compare, Display};
 use crate::worker::Task;
@@ -68,11 +66,14 @@ impl Viewer {
                 }
             }
             Action::ShowCounterpart => {
-                let name = self.counterpart().map(|layer| layer.name().to_owned());
-                name.into_iter().for_each(|name| {
-                    self.view.layer = name;
-                    self.scrolls_to_layer = true;
-                });
+                let name = match self.view.layer.as_str() {
+                    "noisy" => Some("result".to_owned()),
+                    "result" => Some("noisy".to_owned()),
+                    along => counterpart(along),
+                };
+                if let Some(name) = name {
+                    self.apply(Action::ShowLayer { name: name.into(), scrolls: true }, context);
+                }
             }
             Action::Compare(compare) => self.compare(compare),
 
@@ -161,18 +162,14 @@ impl Viewer {
         self.view.reveals_pinned = true;
     }
 
-    /// Returns the layer with the same quantity as layer A after denoising, or before for a denoised layer.
-    fn counterpart(&self) -> Option<&Arc<Layer>> {
-        self.document.as_ref()?.counterpart(self.layer()?.name())
-    }
-
     /// Compares in this way. Chooses the likeliest layer B if none is marked.
     pub fn compare(&mut self, compare: Compare) {
         self.view.compare = compare;
         if compare != Compare::Single && self.other().is_none() {
-            // The references of the layers that are denoised along are not read.
-            let own = self.counterpart().filter(|layer| layer.description.group == Group::Along);
-            let own = own.map(|layer| layer.name().to_owned());
+            // The references of the layers that are denoised along are not read. Before the first run, one of the pair
+            // does not exist yet.
+            let is_known = |name: &str| self.has_layer(name) || self.has_layer(&self.view.layer);
+            let own = counterpart(&self.view.layer).filter(|name| is_known(name));
             let likeliest = ["reference", "noisy", "result"]
                 .into_iter()
                 .find(|name| *name != self.view.layer && self.has_layer(name));

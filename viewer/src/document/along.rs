@@ -18,32 +18,45 @@ const OPACITY: Range = Range { low: 0.0, high: 1.0 };
 
 /// Makes the layers of a frame's payload as they were rendered.
 pub(super) fn rendered_layers(frame: &Frame) -> impl Iterator<Item = Arc<Layer>> {
-    frame.payload().iter().map(|layer| {
+    let prefix = shared_prefix(frame.payload());
+    frame.payload().iter().map(move |layer| {
+        let title = text::name(&layer.name[prefix..]);
         let about = format!("{} as it was rendered.", quantity(layer));
-        along_layer(layer, BEFORE, "", &about, &layer.mean)
+        along_layer(layer, BEFORE, &title, &about, &layer.mean)
     })
 }
 
 /// Makes the layers of a denoised payload. `frame` is the frame that was denoised.
 pub(super) fn denoised_layers(frame: &Frame, denoised: &[DenoisedLayer]) -> impl Iterator<Item = Arc<Layer>> {
+    let prefix = shared_prefix(frame.payload());
     // Both have the same order.
-    frame.payload().iter().zip(denoised).map(|(layer, DenoisedLayer { image, left, .. })| {
+    frame.payload().iter().zip(denoised).map(move |(layer, DenoisedLayer { image, left, .. })| {
         let quantity = quantity(layer);
         let (suffix, about) = match left.map(reason) {
-            None => (", denoised", format!("{quantity}, filtered with the weights of the colour.")),
-            Some(reason) => (", left as it was", format!("{quantity} as it was rendered, because {reason}.")),
+            None => ("denoised", format!("{quantity}, filtered with the weights of the colour.")),
+            Some(reason) => ("left as it was", format!("{quantity} as it was rendered, because {reason}.")),
         };
-        along_layer(layer, AFTER, suffix, &about, image)
+        let title = format!("{}, {suffix}", text::name(&layer.name[prefix..]));
+        along_layer(layer, AFTER, &title, &about, image)
     })
 }
 
-fn along_layer(layer: &PayloadLayer, prefix: &str, suffix: &str, about: &str, image: &Image) -> Arc<Layer> {
+fn along_layer(layer: &PayloadLayer, prefix: &str, title: &str, about: &str, image: &Image) -> Arc<Layer> {
     let (kind, unit, range) = match layer.kind {
         PayloadKind::Light => (Kind::Color, RADIANCE, None),
         PayloadKind::Alpha => (Kind::Scalar(Scale::Linear), "opacity", Some(OPACITY)),
     };
-    let (name, title) = (format!("{prefix}{}", layer.name), format!("{}{suffix}", text::name(&layer.name)));
+    let name = format!("{prefix}{}", layer.name);
     Arc::new(Layer::new(describe(name, title, about, Group::Along, kind, unit), Arc::new(image.clone()), range))
+}
+
+/// Returns the length of the parts that all names begin with, such as `ViewLayer.`: titles do without them.
+fn shared_prefix(payload: &[PayloadLayer]) -> usize {
+    let first = payload.first().map_or("", |layer| &layer.name);
+    let is_shared = |prefix: &&str| {
+        payload.iter().all(|layer| layer.name.strip_prefix(*prefix).is_some_and(|rest| !rest.is_empty()))
+    };
+    first.rmatch_indices('.').map(|(dot, _)| &first[..=dot]).find(is_shared).map_or(0, str::len)
 }
 
 /// Returns the words for a layer at the start of a sentence.
@@ -69,8 +82,9 @@ pub(super) fn name_in_file(name: &str) -> Option<&str> {
     name.strip_prefix(BEFORE).or_else(|| name.strip_prefix(AFTER))
 }
 
-/// Returns the name of the layer with the same quantity after denoising, or before for a denoised layer.
-pub(super) fn counterpart(name: &str) -> Option<String> {
+/// Returns the name of the layer with the same quantity after denoising, or before for a denoised layer; `None` if the
+/// layer is not denoised along.
+pub fn counterpart(name: &str) -> Option<String> {
     let after = |name| format!("{AFTER}{name}");
     name.strip_prefix(BEFORE).map(after).or_else(|| Some(format!("{BEFORE}{}", name.strip_prefix(AFTER)?)))
 }
