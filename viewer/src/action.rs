@@ -77,6 +77,8 @@ pub enum Action {
     MarkOther,
     /// Swaps the layers A and B.
     Swap,
+    /// Shows the layer with the same quantity after denoising as layer A, or before for a denoised layer.
+    ShowCounterpart,
     /// Compares two layers in this way.
     Compare(Compare),
 

@@ -1,5 +1,6 @@
 //! The open document: a frame, perhaps its reference, and the results of the newest run.
 
+mod along;
 mod inputs;
 mod outputs;
 
@@ -12,13 +13,14 @@ use stein::method::Plan;
 use stein::sampling::estimated_relative_mse;
 use stein::{Denoiser, Error, Estimate, Frame, Image, Options, Preset, text};
 use stein_exr::picture_file::PngEncoding;
-use stein_exr::{BufferSet, BufferSetRequest, LayerRef, LayoutUse};
+use stein_exr::{AlphaEncoding, Aovs, BufferSet, BufferSetRequest, LayerRef, LayoutUse};
 use stein_metric as metric;
 
 use crate::files::short_name;
 use crate::layer::{Description, Group, Kind, Layer};
 use crate::settings::Parameters;
 
+pub use along::counterpart;
 pub use inputs::{drawn_layer, input_layers, reference_layer};
 pub use outputs::output_layers;
 
@@ -83,6 +85,10 @@ impl Source {
             feature_half_a,
             feature_half_b,
             feature_variance,
+            aovs,
+            no_alpha,
+            alpha,
+            payload_halves: _,
             seeds,
             samples,
             layout,
@@ -104,12 +110,25 @@ impl Source {
         let alone = no_siblings.then(|| "without files beside the input".to_owned());
         let skipped = skip_features.iter().map(|name| format!("without the feature {}", text::name(name)));
         let none = no_features.then(|| "without other features of the input".to_owned());
+        let along =
+            (*aovs != Aovs::default()).then(|| format!("layers denoised along: {}", text::name(&aovs.to_string())));
+        let kept_alpha = no_alpha.then(|| "alpha left as it is".to_owned());
+        let encoding = alpha.map(|alpha| {
+            let is_multiplied = match alpha {
+                AlphaEncoding::Premultiplied => "multiplied",
+                AlphaEncoding::Straight => "not multiplied",
+            };
+            format!("colours {is_multiplied} by their alpha in the file")
+        });
         std::iter::once(input.to_string())
             .chain(seeds)
             .chain(named)
             .chain(features)
             .chain(skipped)
             .chain(none)
+            .chain(along)
+            .chain(kept_alpha)
+            .chain(encoding)
             .chain(samples)
             .chain(layout)
             .chain(linear)
@@ -323,7 +342,7 @@ impl Denoised {
         let parameters = Parameters { preset, method: *denoiser.method() };
         let lean_plan = denoiser.plan(&[frame], 0, &Options::default())?;
         let (error, estimated_error) = (relative_mse(&estimate.color, reference), estimated_relative_mse(&estimate));
-        let layers = output_layers(&mut estimate, reference);
+        let layers = output_layers(frame, &mut estimate, reference);
         Ok(Self { parameters, estimate: Arc::new(estimate), lean_plan, seconds, error, estimated_error, layers })
     }
 
@@ -369,17 +388,20 @@ impl Document {
     }
 
     /// Sorts the layers by group. Within the results, the result comes before the layers that it is compared with;
-    /// within the features, the layers of one feature stay together. All other layers keep the order in which they were
-    /// made.
+    /// within the features and the layers that are denoised along, the layers of one name stay together. All other layers
+    /// keep the order in which they were made.
     fn arrange(&mut self) {
         let made = self.denoised.iter().flat_map(|denoised| &denoised.layers);
         self.layers = self.opened.layers.iter().chain(made).chain(&self.before).cloned().collect();
-        let features = self.opened.frame.features();
+        let (features, payload) = (self.opened.frame.features(), self.opened.frame.payload());
         let place = |layer: &Layer| match layer.description.group {
             Group::Result => ["result", "pass1", "before", "reference"].iter().position(|name| *name == layer.name()),
             Group::Features => features.iter().position(|feature| {
                 layer.name() == feature.name || layer.name().starts_with(&format!("{}_", feature.name))
             }),
+            Group::Along => {
+                along::name_in_file(layer.name()).and_then(|name| payload.iter().position(|it| it.name == name))
+            }
             _ => None,
         };
         self.layers.sort_by_key(|layer| (layer.description.group, place(layer)));

@@ -56,7 +56,7 @@ impl Purpose {
         match self {
             Self::Input | Self::Reference => &[("OpenEXR, PFM, PNG", &ENDINGS)],
             Self::SaveResult => {
-                &[("OpenEXR", &["exr"]), ("PFM (the colour alone)", &["pfm"]), ("PNG (the colour alone)", &["png"])]
+                &[("OpenEXR", &["exr"]), ("PFM (colour and alpha)", &["pfm"]), ("PNG (colour and alpha)", &["png"])]
             }
             Self::SaveView | Self::SaveLayer => &[("PNG", &["png"])],
             Self::Parameters | Self::SaveParameters => &[("TOML", &["toml"])],

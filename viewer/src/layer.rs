@@ -19,6 +19,8 @@ pub enum Group {
     Result,
     /// The noisy colour and the knowledge about its noise.
     Input,
+    /// Layers that are denoised along with the colour, before and after.
+    Along,
     /// Features before and after prefiltering.
     Features,
     /// FIRST, SECOND and THIRD with the estimates that judge them; the scales of GEM.
@@ -31,14 +33,15 @@ pub enum Group {
 
 impl Group {
     /// All groups, in the order of the strip.
-    pub const ALL: [Self; 6] =
-        [Self::Result, Self::Input, Self::Features, Self::Candidates, Self::Selection, Self::Error];
+    pub const ALL: [Self; 7] =
+        [Self::Result, Self::Input, Self::Along, Self::Features, Self::Candidates, Self::Selection, Self::Error];
 
     /// Returns the title that users read.
     pub fn title(self) -> &'static str {
         match self {
             Self::Result => "Result",
             Self::Input => "Input",
+            Self::Along => "Denoised along",
             Self::Features => "Features",
             Self::Candidates => "Candidates",
             Self::Selection => "Selection",

@@ -8,7 +8,7 @@ use std::thread::JoinHandle;
 
 use eframe::egui::{CentralPanel, Context, Frame as Margins, Pos2, Rect, Theme, Vec2};
 use stein::error::{DeviceCause, FileCause};
-use stein::{Error, Estimate, Gpu, Image, Method, Result};
+use stein::{Error, Estimate, Gpu, Image, Method, Result, text};
 use stein_exr::picture_file::{self, Format, PngEncoding};
 use stein_exr::{BufferSet, BufferSetRequest, NamedLayer, atomic_file, write_estimate, write_layers};
 
@@ -27,8 +27,9 @@ pub enum Content {
     View(Box<Sight>),
     /// One layer, with one pixel of the picture for each pixel of the layer, as PNG.
     Layer(Arc<Layer>, Display),
-    /// Denoised frame as OpenEXR: the contents of its file, with the colour replaced by the denoised one. Or the
-    /// denoised colour alone as PFM or PNG, if the path has such an ending.
+    /// Denoised frame as OpenEXR: the contents of its file, with the colour and the layers that are denoised along
+    /// replaced by the denoised ones. Or the denoised colour and its alpha as PFM or PNG, if the path has such an
+    /// ending.
     Result {
         /// Buffer set that the frame was read from; `None` for a frame that was rendered here.
         request: Option<Box<BufferSetRequest>>,
@@ -124,7 +125,7 @@ impl Content {
         let mut notes = Vec::new();
         let format = Format::from_extension(path).filter(|format| *format != Format::OpenExr);
         match self {
-            Self::Result { estimate, .. } if let Some(format) = format => {
+            Self::Result { request: None, estimate, .. } if let Some(format) = format => {
                 notes = write_color(path, &estimate.color, format)?;
             }
             Self::View(sight) => sight.picture(gpu)?.write_png(path)?,
@@ -146,7 +147,11 @@ impl Content {
                 write_layers(path, &layers, &[])?;
             }
             Self::Result { request: Some(request), estimate, method } => {
-                notes = write_estimate(&estimate, BufferSet::read(&request)?, path, &[], &method)?.notes;
+                let written = write_estimate(&estimate, BufferSet::read(&request)?, path, &[], &method)?;
+                notes.extend(format.map(|_| "without other layers".to_owned()));
+                notes.extend(written.notes);
+                let along = written.along.iter().map(|name| text::name(name));
+                notes.extend((!written.along.is_empty()).then(|| format!("along: {}", text::list(along))));
             }
         }
         notes.insert(0, format!("Wrote {}", short_name(path)));

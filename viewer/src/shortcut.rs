@@ -84,6 +84,7 @@ pub const SECTIONS: &[Section] = &[
         shortcuts: &[
             key(Key::M, Action::MarkOther, "compare with this layer (B)"),
             key(Key::X, Action::Swap, "swap the layers A and B"),
+            key(Key::C, Action::ShowCounterpart, "the same layer before or after denoising"),
             key(Key::A, Action::Compare(Compare::Single), "layer A alone"),
             key(Key::S, Action::Compare(Compare::SideBySide), "side by side"),
             key(Key::W, Action::Compare(Compare::Wipe), "wipe"),

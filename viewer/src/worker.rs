@@ -446,7 +446,9 @@ impl Desk {
 
 fn open(job: &WorkerJob, source: Source) -> stein::Result<Opened> {
     job.check(0.0)?;
-    let mut set = BufferSet::read(&source.request).map_err(|error| error.in_file(&source.request.input))?;
+    // The frame stays open if the user changes to NLM, which alone uses the halves of the layers that are denoised along.
+    let request = BufferSetRequest { payload_halves: true, ..source.request.clone() };
+    let mut set = BufferSet::read(&request).map_err(|error| error.in_file(&source.request.input))?;
     job.check(0.4)?;
     let input = InputFiles::new(&set);
     let (frame, repairs) = set.take_frame().map_err(|error| error.in_file(&source.request.input))?;

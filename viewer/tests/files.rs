@@ -377,11 +377,11 @@ fn pictures_without_layers_are_opened_and_written() {
     let context = harness.ctx.clone();
     harness.state_mut().take_file(Purpose::SaveResult, path("result.pfm"), &context);
     settle(&mut harness);
-    harness.get_by_label("Wrote result.pfm; the colour alone");
+    harness.get_by_label("Wrote result.pfm; without other layers");
     assert!(read_reference(&path("result.pfm"), None).unwrap() == result, "other bits than the result's");
     harness.state_mut().take_file(Purpose::SaveResult, path("result.png"), &context);
     settle(&mut harness);
-    harness.get_by_label_contains("Wrote result.png; the colour alone");
+    harness.get_by_label_contains("Wrote result.png; without other layers");
     assert_eq!(read_reference(&path("result.png"), None).unwrap().extent, result.extent);
 
     drop_files(&mut harness, &[path("color.png")]);

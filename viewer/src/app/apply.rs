@@ -5,6 +5,7 @@ use stein::Extent;
 
 use super::Viewer;
 use crate::action::Action;
+use crate::document::counterpart;
 use crate::settings::Parameters;
 use crate::view::{Compare, Display};
 use crate::worker::Task;
@@ -62,6 +63,16 @@ impl Viewer {
             Action::Swap => {
                 if let Some(other) = self.view.other.take() {
                     self.view.other = Some(std::mem::replace(&mut self.view.layer, other));
+                }
+            }
+            Action::ShowCounterpart => {
+                let name = match self.view.layer.as_str() {
+                    "noisy" => Some("result".to_owned()),
+                    "result" => Some("noisy".to_owned()),
+                    along => counterpart(along),
+                };
+                if let Some(name) = name {
+                    self.apply(Action::ShowLayer { name: name.into(), scrolls: true }, context);
                 }
             }
             Action::Compare(compare) => self.compare(compare),
@@ -155,10 +166,14 @@ impl Viewer {
     pub fn compare(&mut self, compare: Compare) {
         self.view.compare = compare;
         if compare != Compare::Single && self.other().is_none() {
+            // The references of the layers that are denoised along are not read. Before the first run, one of the pair
+            // does not exist yet.
+            let is_known = |name: &str| self.has_layer(name) || self.has_layer(&self.view.layer);
+            let own = counterpart(&self.view.layer).filter(|name| is_known(name));
             let likeliest = ["reference", "noisy", "result"]
                 .into_iter()
                 .find(|name| *name != self.view.layer && self.has_layer(name));
-            self.view.other = likeliest.map(ToOwned::to_owned);
+            self.view.other = own.or_else(|| likeliest.map(ToOwned::to_owned));
         }
     }
 }

@@ -6,6 +6,7 @@ use stein::frame::{Feature, SamplesPerPixel, Signal};
 use stein::sampling::SampleCounts;
 use stein::{Frame, Image};
 
+use super::along::rendered_layers;
 use super::{RADIANCE, RADIANCE_SQUARED, describe};
 use crate::layer::{Description, Group, Kind, Layer, Scale};
 
@@ -69,6 +70,7 @@ pub fn input_layers(frame: &Frame, reference: Option<&Arc<Image>>) -> Vec<Arc<La
             );
         }
     }
+    layers.extend(rendered_layers(frame));
     layers.extend(reference.map(reference_layer));
     layers
 }

@@ -3,8 +3,9 @@
 use std::sync::Arc;
 
 use stein::method::Intermediate;
-use stein::{Estimate, Image};
+use stein::{Estimate, Frame, Image};
 
+use super::along::denoised_layers;
 use super::inputs::feature_kind;
 use super::{RADIANCE, RADIANCE_SQUARED, describe};
 use crate::layer::{Description, Group, Kind, Layer, Range, Scale, single_plane};
@@ -23,8 +24,8 @@ fn title_of(candidate: &str) -> String {
 
 const SHARE: Range = Range { low: 0.0, high: 1.0 };
 
-/// Makes the layers of an estimate; `estimate.layers` is empty afterwards.
-pub fn output_layers(estimate: &mut Estimate, reference: Option<&Arc<Image>>) -> Vec<Arc<Layer>> {
+/// Makes the layers of an estimate of `frame`; `estimate.layers` is empty afterwards.
+pub fn output_layers(frame: &Frame, estimate: &mut Estimate, reference: Option<&Arc<Image>>) -> Vec<Arc<Layer>> {
     let mut layers = Layers(Vec::new());
     let result = Arc::new(estimate.color.clone());
     let about = "The denoised colour: the candidates blended by their shares, and filtered once more where the \
@@ -33,6 +34,7 @@ pub fn output_layers(estimate: &mut Estimate, reference: Option<&Arc<Image>>) ->
     for layer in std::mem::take(&mut estimate.layers) {
         layers.add_kept(layer);
     }
+    layers.0.extend(denoised_layers(frame, &estimate.payload));
     if let Some(selection) = &estimate.selection
         && !layers.0.iter().any(|layer| layer.name() == "selection")
     {

@@ -1,6 +1,6 @@
 //! All values of the chosen pixel: the pixel that was clicked, or else the pixel under the pointer.
 
-use eframe::egui::{Grid, RichText, Ui};
+use eframe::egui::{Button, Grid, RichText, Ui};
 
 use super::status::explained;
 use crate::action::Action;
@@ -8,6 +8,11 @@ use crate::document::Document;
 use crate::layer::Group;
 use crate::view::View;
 use crate::view::numbers::number;
+
+/// Space for a value, in points. Long titles are wrapped so that three values fit beside them.
+const VALUE_WIDTH: f32 = 52.0;
+/// Space between columns, in points.
+const GAP: f32 = 6.0;
 
 /// Shows the panel. A click on a title shows that layer.
 pub fn show(ui: &mut Ui, document: Option<&Document>, view: &View) -> Vec<Action> {
@@ -27,15 +32,14 @@ pub fn show(ui: &mut Ui, document: Option<&Document>, view: &View) -> Vec<Action
         }
         ui.add_space(4.0);
         ui.label(RichText::new(group.title()).strong());
-        Grid::new(group.title()).num_columns(4).striped(true).spacing([6.0, 1.0]).show(ui, |ui| {
+        let title_width = ui.available_width() - 3.0 * (VALUE_WIDTH + GAP);
+        let grid = Grid::new(group.title()).num_columns(4).max_col_width(title_width).striped(true).spacing([GAP, 1.0]);
+        grid.show(ui, |ui| {
             for layer in members {
                 let Some(values) = layer.values(x, y) else { continue };
                 let is_shown = layer.name() == view.layer;
-                if ui
-                    .selectable_label(is_shown, RichText::new(&layer.description.title).size(11.5))
-                    .on_hover_text(explained(layer))
-                    .clicked()
-                {
+                let title = Button::selectable(is_shown, RichText::new(&layer.description.title).size(11.5)).wrap();
+                if ui.add(title).on_hover_text(explained(layer)).clicked() {
                     actions.push(Action::ShowLayer { name: layer.name().to_owned().into(), scrolls: false });
                 }
                 for value in values {

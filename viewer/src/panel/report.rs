@@ -3,7 +3,7 @@
 use eframe::egui::{Align, Grid, Layout, RichText, Ui};
 use stein::frame::SamplesPerPixel;
 use stein::method::PlannedStep;
-use stein::text::human_bytes;
+use stein::text::{self, human_bytes};
 
 use crate::document::{Denoised, Document, Opened};
 
@@ -45,6 +45,10 @@ fn frame(ui: &mut Ui, opened: &Opened) {
     ui.label(format!("{} pixels, {samples}, noise known from {}", frame.extent(), frame.noise_knowledge()));
     let features: Vec<_> = frame.features().iter().map(|feature| feature.name.as_str()).collect();
     ui.label(if features.is_empty() { "no features".to_owned() } else { format!("features: {}", features.join(", ")) });
+    let along: Vec<_> = frame.payload().iter().map(|layer| text::name(&layer.name)).collect();
+    if !along.is_empty() {
+        ui.label(format!("denoised along: {}", along.join(", ")));
+    }
     if !opened.repairs.is_empty() {
         ui.label(opened.repairs.to_string());
     }
