@@ -93,7 +93,9 @@ fn options_say_what_is_denoised_along() {
     info(&[file, "--aovs", "difuse"]).failed(3, &[file, "'difuse'", "diffuse", "remedy: ", "--aovs"]);
     info(&[file, "--aovs", "id"]).failed(3, &[file, "remedy: ", "--aovs"]);
     info(&[file, "--alpha", "none"]).failed(2, &["straight", "premultiplied"]);
-    info(&[file, "-v"]).succeeded().said(&["light, denoised along", "the noise of a layer that is denoised along"]);
+    info(&[file, "-v"])
+        .succeeded()
+        .said(&["light, denoised along", "a half or variance of a layer that is denoised along"]);
 }
 
 #[test]

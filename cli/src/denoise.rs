@@ -75,7 +75,7 @@ pub(crate) struct Args {
     #[arg(value_name = "IN", required_unless_present = "list_devices")]
     input: Option<PathBuf>,
     /// Other renders of the same frame with other seeds, or patterns of such files: their mean is denoised, and they
-    /// tell its noise. Everything else in the output is as in IN
+    /// tell its noise. Layers that hold no means of samples are as in IN
     #[arg(value_name = "SEED")]
     further: Vec<PathBuf>,
     /// File to write, or a folder for it [default: IN with the extension `.denoised.exr`]. Only this option can replace

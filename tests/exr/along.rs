@@ -313,6 +313,83 @@ fn pixels_without_hits_are_misses_of_the_features_and_stay_black() {
 }
 
 #[test]
+fn a_seed_without_alpha_gives_its_colours() {
+    let folder = folder();
+    let with = Part::new().with("", "RGBA", 1.0).with("light_key", "RGB", 1.0);
+    let without = Part::new().with("", "RGB", 3.0).with("light_key", "RGB", 3.0);
+    let (with, without) = (write(folder.path(), "1.exr", vec![with]), write(folder.path(), "2.exr", vec![without]));
+    for (first, second) in [(&with, &without), (&without, &with)] {
+        let set = BufferSet::read(&BufferSetRequest { seeds: vec![second.clone()], ..request(first) }).unwrap();
+        let (frame, _) = set.to_frame().unwrap();
+        let light = frame.payload().iter().find(|layer| layer.name == "light_key").unwrap();
+        assert_eq!(frame.color().mean, light.mean, "the lights add up");
+        let half = |of: &Path| read(of).color().mean.planes[1][2];
+        assert_eq!(light.mean.planes[1][2], (half(&with) + half(&without)) / 2.0);
+    }
+}
+
+#[test]
+fn alpha_that_is_not_finite_is_repaired_and_counted() {
+    let folder = folder();
+    for (value, encoding) in [
+        (f32::NEG_INFINITY, AlphaEncoding::Straight),
+        (f32::INFINITY, AlphaEncoding::Premultiplied),
+        (f32::NAN, AlphaEncoding::Straight),
+    ] {
+        let alpha = plane(move |pixel| if pixel == 1 { value } else { 0.5 + 0.01 * pixel as f32 });
+        let part = Part::new().with("", "RGB", 1.0).and("A", alpha);
+        let input = write(folder.path(), "in.exr", vec![part]);
+        let set = BufferSet::read(&BufferSetRequest { alpha: Some(encoding), ..request(&input) }).unwrap();
+        let (frame, repairs) = set.to_frame().unwrap();
+        let of_alpha = repairs.layer("A").unwrap_or_else(|| panic!("{value}: {repairs}"));
+        assert_eq!(of_alpha.nan_values + of_alpha.infinite_values, 1, "{value}");
+        let alpha = frame.payload()[0].mean.planes[0][1];
+        assert!((0.5..0.7).contains(&alpha), "{value}: alpha {alpha}");
+        assert!(frame.color().mean.planes[0][1] > 0.1, "{value}: {}", frame.color().mean.planes[0][1]);
+    }
+}
+
+#[test]
+fn a_straight_picture_without_any_opacity_is_said_to_be_black() {
+    let folder = folder();
+    let part = Part::new().with("", "RGB", 1.0).and("A", plane(|_| 0.0));
+    let input = write(folder.path(), "in.exr", vec![part]);
+    let straight = BufferSetRequest { alpha: Some(AlphaEncoding::Straight), ..request(&input) };
+    let notes = |request: &BufferSetRequest| BufferSet::read(request).unwrap().to_frame().unwrap().1.to_string();
+    assert!(notes(&straight).contains("alpha is 0 everywhere"), "{}", notes(&straight));
+    assert!(!notes(&request(&input)).contains("alpha is 0 everywhere"));
+}
+
+#[test]
+fn alpha_guides_the_filter_if_its_noise_is_known() {
+    let folder = folder();
+    let alpha = |seed: f32| plane(move |pixel| (seed + pixel as f32) / PIXELS as f32);
+    let part = |seed: f32| Part::new().with("", "RGB", 1.0 + seed).and("A", alpha(seed)).with("albedo", "RGB", 0.1);
+    let counted = part(0.25).attribute("samples", AttributeValue::I32(8));
+    let inputs = [("1.exr", part(0.0)), ("2.exr", part(0.5)), ("n.exr", counted)]
+        .map(|(name, part)| write(folder.path(), name, vec![part]));
+    let [first, second, counted] = &inputs;
+    let guide = |request: BufferSetRequest| {
+        let (frame, _) = BufferSet::read(&request).unwrap().to_frame().unwrap();
+        frame.features().iter().find(|feature| feature.name == "alpha").cloned()
+    };
+    // Nothing tells the noise of a single alpha.
+    assert!(guide(request(first)).is_none());
+    let of_seeds = BufferSetRequest { seeds: vec![second.clone()], ..request(first) };
+    let found = guide(of_seeds.clone()).unwrap();
+    assert!(found.signal.half_spread.is_some() && found.signal.mean.channels() == 1);
+    let found = guide(request(counted)).unwrap();
+    assert!(found.signal.half_spread.is_none() && found.signal.variance_of_mean.is_some());
+    for without in [
+        BufferSetRequest { no_alpha: true, ..of_seeds.clone() },
+        BufferSetRequest { no_features: true, ..of_seeds.clone() },
+        BufferSetRequest { skip_features: vec!["alpha".into()], ..of_seeds.clone() },
+    ] {
+        assert!(guide(without.clone()).is_none(), "{without:?}");
+    }
+}
+
+#[test]
 fn cropped_parts_are_aligned_and_written_into_their_own_window() {
     let folder = folder();
     let color = Part::named("rgba").with("", "RGBA", 1.0);

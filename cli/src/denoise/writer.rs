@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 use std::thread::{Scope, ScopedJoinHandle};
 
+use stein::frame::{PayloadKind, PayloadLayer};
 use stein::image::Window;
 use stein::method::Intermediate;
 use stein::{Estimate, Frame, Method, text};
@@ -174,6 +175,16 @@ impl Contents<'_> {
                 text::name(name)
             )
         };
-        missing.map(of_kind).chain(left_out.map(not_used)).collect()
+        let is_mean_alone = |layer: &&PayloadLayer| layer.kind == PayloadKind::Light && layer.half_spread.is_none();
+        let needs_halves = self.method.filters_halves() && frame.color().half_spread.is_some();
+        let without_halves: Vec<_> = frame.payload().iter().filter(is_mean_alone).filter(|_| needs_halves).collect();
+        let no_sum = (!without_halves.is_empty()).then(|| {
+            let names = text::list(without_halves.iter().map(|layer| text::name(&layer.name)));
+            format!(
+                "without halves, and {} filters halves: denoised lights do not add up to the colour exactly: {names}",
+                self.method.name()
+            )
+        });
+        missing.map(of_kind).chain(left_out.map(not_used)).chain(no_sum).collect()
     }
 }

@@ -1,6 +1,5 @@
 //! Which layers are denoised along with the colour, and how alpha relates to the colours.
 
-use std::convert::Infallible;
 use std::fmt;
 use std::str::FromStr;
 
@@ -26,17 +25,21 @@ pub enum Aovs {
 }
 
 impl FromStr for Aovs {
-    type Err = Infallible;
+    type Err = &'static str;
 
     /// Reads `lights`, `all`, `none` or a list of names with commas between them.
-    fn from_str(text: &str) -> Result<Self, Infallible> {
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
         Ok(match text {
             "lights" => Self::Lights,
             "all" => Self::All,
             "none" => Self::None,
             list => {
                 let names = list.split(',').map(str::trim).filter(|name| !name.is_empty());
-                Self::Named(names.map(str::to_owned).collect())
+                let names: Vec<String> = names.map(str::to_owned).collect();
+                if names.is_empty() {
+                    return Err("it names no layer; `none` stands for no layers");
+                }
+                Self::Named(names)
             }
         })
     }
@@ -97,5 +100,6 @@ mod tests {
             assert_eq!(text.parse::<Aovs>().map(|aovs| aovs.to_string()).as_deref(), Ok(text));
         }
         assert_eq!("key, fill,".parse(), Ok(Aovs::Named(vec!["key".into(), "fill".into()])));
+        assert!("".parse::<Aovs>().is_err() && ", ".parse::<Aovs>().is_err());
     }
 }

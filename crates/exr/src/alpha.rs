@@ -14,7 +14,8 @@ pub(crate) const ALPHA: &str = "alpha";
 pub(crate) fn feature(alpha: &RawSignal, samples: &SamplesPerPixel) -> Option<RawSignal> {
     let mut alpha = alpha.clone();
     let all = [Some(&mut alpha.mean), alpha.half_a.as_mut(), alpha.half_b.as_mut()].into_iter().flatten();
-    all.flat_map(|image| &mut image.planes).flatten().for_each(|alpha| *alpha = alpha.clamp(0.0, 1.0));
+    let finite = all.flat_map(|image| &mut image.planes).flatten().filter(|alpha| alpha.is_finite());
+    finite.for_each(|alpha| *alpha = alpha.clamp(0.0, 1.0));
     let plane = alpha.mean.planes.first()?;
     if plane.iter().all(|alpha| *alpha == plane[0]) {
         return None;
@@ -25,7 +26,8 @@ pub(crate) fn feature(alpha: &RawSignal, samples: &SamplesPerPixel) -> Option<Ra
             SamplesPerPixel::Uniform(count) => Some(*count),
             SamplesPerPixel::PerPixel(counts) => Some(counts.planes[0][pixel]),
         };
-        let variance = plane.iter().enumerate().map(|(pixel, alpha)| Some(alpha * (1.0 - alpha) / count(pixel)?));
+        let variance_of = |alpha: f32, count: f32| alpha * (1.0 - alpha) / count;
+        let variance = plane.iter().enumerate().map(|(pixel, alpha)| Some(variance_of(*alpha, count(pixel)?)));
         let planes = vec![variance.collect::<Option<_>>()?];
         alpha.variance_of_mean = Some(Image { extent: alpha.mean.extent, planes });
     }

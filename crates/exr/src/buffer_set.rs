@@ -344,6 +344,13 @@ impl BufferSet {
         let features = features.chain(alpha.map(|alpha| (alpha::ALPHA.to_owned(), alpha)));
         let (frame, mut repairs) = Frame::from_raw(color, features, samples)?;
         repairs.notes.splice(0..0, self.notes.iter().cloned());
+        if own.is_straight && empty.is_some_and(|empty| empty.iter().all(|empty| *empty)) {
+            repairs.notes.push(
+                "alpha is 0 everywhere, so that the whole picture is black; colours that are multiplied by alpha \
+                 already are read with --alpha premultiplied"
+                    .into(),
+            );
+        }
         Ok((frame, repairs))
     }
 
@@ -625,7 +632,9 @@ fn payload_layer(source: &PayloadSource, raw: RawSignal) -> PayloadLayer {
     let half_spread = raw.half_a.as_ref().zip(raw.half_b.as_ref()).map(|(a, b)| half_spread(a, b, 1.0, 1.0));
     let mut mean = raw.mean;
     if source.kind == PayloadKind::Alpha {
-        mean.planes.iter_mut().flatten().for_each(|alpha| *alpha = alpha.clamp(0.0, 1.0));
+        // Values that are not finite are damage, which the frame repairs and counts.
+        let finite = mean.planes.iter_mut().flatten().filter(|alpha| alpha.is_finite());
+        finite.for_each(|alpha| *alpha = alpha.clamp(0.0, 1.0));
     }
     PayloadLayer { name: source.name.clone(), kind: source.kind, mean, half_spread }
 }

@@ -406,7 +406,10 @@ impl<'a> OfPicture<'a> {
         }
         if !dropped.is_empty() {
             let names = dropped.iter().map(|name| text::name(name).into_owned());
-            notes.push(format!("left out, the noise of layers that are denoised: {}", text::list(names)));
+            notes.push(format!(
+                "left out, halves and variances of layers that are denoised along: {}",
+                text::list(names)
+            ));
         }
         for layer in set.uses_in_input().iter().filter(|layer| layer.picture == Some(picture)) {
             let sign = match layer.role {

@@ -28,12 +28,13 @@ pub(crate) struct Multiplier {
 
 impl MultiplierKind {
     /// Returns the number by which a value is multiplied for a stored multiplier. Where it is 0, the product is 0
-    /// whatever the value is, also NaN. An alpha of NaN makes the product NaN, so that the pixel is repaired.
+    /// whatever the value is, also NaN. An alpha that is not finite makes the product NaN, so that the pixel is repaired.
     fn number(self, stored: f32) -> f32 {
         match self {
             Self::Factor if stored.is_finite() => stored.max(0.0),
             Self::Factor => 0.0,
-            Self::Alpha => stored.clamp(0.0, 1.0),
+            Self::Alpha if stored.is_finite() => stored.clamp(0.0, 1.0),
+            Self::Alpha => f32::NAN,
         }
     }
 
@@ -104,6 +105,9 @@ mod tests {
         let mut colour = image(&[&[3.0, f32::NAN, f32::INFINITY, 4.0]]);
         MultiplierKind::Alpha.multiply(&mut colour, &alpha);
         assert_eq!(colour.planes[0], [1.5, 0.0, 0.0, 4.0]);
+        let mut damaged = image(&[&[1.0; 3]]);
+        MultiplierKind::Alpha.multiply(&mut damaged, &image(&[&[f32::NAN, f32::INFINITY, f32::NEG_INFINITY]]));
+        assert!(damaged.planes[0].iter().all(|value| value.is_nan()));
         assert_eq!(MultiplierKind::Alpha.divided(&colour, &alpha).planes[0], [3.0, 0.0, 0.0, 4.0]);
         let mut variance = image(&[&[8.0, f32::NAN]]);
         MultiplierKind::Alpha.multiply_variance(&mut variance, &alpha);

@@ -68,7 +68,7 @@ pub struct BufferSetRequest {
         arg(long, value_name = "all|none|LIST", default_value_t = Aovs::Lights, hide_default_value = true)
     )]
     pub aovs: Aovs,
-    /// Leave alpha as it is, to the bit; without this option it is denoised along with the colour
+    /// Leave alpha as it is, or as the mean of the seeds; without this option it is denoised along with the colour
     #[cfg_attr(feature = "programs", arg(long))]
     pub no_alpha: bool,
     /// Whether the colours of the input are multiplied by their alpha [default: as the layout says, or premultiplied]

@@ -708,7 +708,16 @@ impl<'a> Merger<'a> {
                 _ if file > 0 => continue,
                 _ => (scope, own.part),
             };
-            let column = match self.column(set, &planes) {
+            let mut column = self.column(set, &planes);
+            if column.is_err() {
+                // A seed may have the layer without its alpha.
+                let own = &set.files[file].layers[layer];
+                let colors = Planes { channels: own.without_alpha(), ..planes.clone() };
+                if colors.channels.len() < planes.channels.len() && !colors.channels.is_empty() {
+                    column = self.column(set, &colors).or(column);
+                }
+            }
+            let column = match column {
                 Ok(column) => column,
                 Err(lacking) => {
                     // Remarks on colours, features and their noise are made with their halves.

@@ -111,7 +111,8 @@ pub(crate) fn layer_uses(set: &BufferSet, classified: &[Classified], rules: &[Ru
                 }
                 if let Some(picture) = set.pictures.iter().position(|picture| picture.is_stale(id)) {
                     found.picture = Some(picture);
-                    found.note = Some("left out of an output: the noise of a layer that is denoised along".into());
+                    found.note =
+                        Some("left out of an output: a half or variance of a layer that is denoised along".into());
                 }
                 if found.role == Role::Untouched && set.pictures.iter().any(|picture| picture.is_multiplier(id)) {
                     found.note.get_or_insert_with(|| "only as a factor of layers that are denoised along".into());
