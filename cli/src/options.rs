@@ -74,7 +74,7 @@ impl Source {
     pub(crate) fn for_method(&self, method: &Method) -> Self {
         let mut source = self.clone();
         source.others.no_features |= !method.uses_features();
-        source.others.payload_halves = matches!(method, Method::Nlm(_));
+        source.others.payload_halves = method.filters_halves();
         source
     }
 }

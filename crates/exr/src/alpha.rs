@@ -8,14 +8,18 @@ use stein::image::Image;
 /// Name of the feature that alpha is.
 pub(crate) const ALPHA: &str = "alpha";
 
+/// Brings the values of an alpha to 0 to 1. Values that are not finite are damage, which a frame repairs and counts.
+pub(crate) fn clamp(alpha: &mut Image) {
+    let finite = alpha.planes.iter_mut().flatten().filter(|alpha| alpha.is_finite());
+    finite.for_each(|alpha| *alpha = alpha.clamp(0.0, 1.0));
+}
+
 /// Returns alpha as a feature, which separates what a ray may hit from what it may miss; `None` if it is the same
 /// everywhere, or if nothing tells its noise. Its halves do; so does the number of samples: the variance of the mean of
 /// n numbers from 0 to 1 is at most α(1 − α)/n.
 pub(crate) fn feature(alpha: &RawSignal, samples: &SamplesPerPixel) -> Option<RawSignal> {
     let mut alpha = alpha.clone();
-    let all = [Some(&mut alpha.mean), alpha.half_a.as_mut(), alpha.half_b.as_mut()].into_iter().flatten();
-    let finite = all.flat_map(|image| &mut image.planes).flatten().filter(|alpha| alpha.is_finite());
-    finite.for_each(|alpha| *alpha = alpha.clamp(0.0, 1.0));
+    [Some(&mut alpha.mean), alpha.half_a.as_mut(), alpha.half_b.as_mut()].into_iter().flatten().for_each(clamp);
     let plane = alpha.mean.planes.first()?;
     if plane.iter().all(|alpha| *alpha == plane[0]) {
         return None;

@@ -632,9 +632,7 @@ fn payload_layer(source: &PayloadSource, raw: RawSignal) -> PayloadLayer {
     let half_spread = raw.half_a.as_ref().zip(raw.half_b.as_ref()).map(|(a, b)| half_spread(a, b, 1.0, 1.0));
     let mut mean = raw.mean;
     if source.kind == PayloadKind::Alpha {
-        // Values that are not finite are damage, which the frame repairs and counts.
-        let finite = mean.planes.iter_mut().flatten().filter(|alpha| alpha.is_finite());
-        finite.for_each(|alpha| *alpha = alpha.clamp(0.0, 1.0));
+        alpha::clamp(&mut mean);
     }
     PayloadLayer { name: source.name.clone(), kind: source.kind, mean, half_spread }
 }

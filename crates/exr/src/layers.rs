@@ -71,6 +71,11 @@ impl FileLayer {
         self.channels.iter().find(|channel| channel.is(wanted)).map(|channel| channel.index)
     }
 
+    /// Returns red, green and blue; `None` if one of them is missing.
+    pub(crate) fn rgb(&self) -> Option<Vec<usize>> {
+        ["R", "G", "B"].into_iter().map(|name| self.channel(name)).collect()
+    }
+
     /// Returns all channels but the alpha.
     pub(crate) fn without_alpha(&self) -> Vec<usize> {
         let is_alpha = |channel: &&FileChannel| self.channels.len() > 1 && channel.is("A");

@@ -28,7 +28,8 @@ pub(crate) struct Multiplier {
 
 impl MultiplierKind {
     /// Returns the number by which a value is multiplied for a stored multiplier. Where it is 0, the product is 0
-    /// whatever the value is, also NaN. An alpha that is not finite makes the product NaN, so that the pixel is repaired.
+    /// whatever the value is, also NaN. An alpha that is not finite makes the product NaN, so that the pixel is
+    /// repaired.
     fn number(self, stored: f32) -> f32 {
         match self {
             Self::Factor if stored.is_finite() => stored.max(0.0),

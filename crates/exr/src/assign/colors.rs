@@ -149,8 +149,8 @@ pub(crate) fn named_layer(file: &ExrFile, wanted: &str) -> Result<usize> {
 /// Returns the channels R, G, B of a layer; a luminance stands for all three.
 pub(crate) fn color_channels(file: &ExrFile, layer: usize) -> Result<Vec<usize>> {
     let layer = &file.layers[layer];
-    if let (Some(r), Some(g), Some(b)) = (layer.channel("R"), layer.channel("G"), layer.channel("B")) {
-        return Ok(vec![r, g, b]);
+    if let Some(rgb) = layer.rgb() {
+        return Ok(rgb);
     }
     match layer.channel("Y") {
         Some(y) if layer.channel("X").is_none() => Ok(vec![y, y, y]),

@@ -174,10 +174,7 @@ impl Files {
     fn factor(&self, id: LayerId, picture: &Picture, channels: usize) -> Option<Planes> {
         let found = self.factor_of(id).filter(|found| *found != picture.color.mean.id())?;
         let layer = self.layer(found);
-        let all = match (layer.channel("R"), layer.channel("G"), layer.channel("B")) {
-            (Some(r), Some(g), Some(b)) => vec![r, g, b],
-            _ => layer.without_alpha(),
-        };
+        let all = layer.rgb().unwrap_or_else(|| layer.without_alpha());
         let is_usable = (all.len() == 1 || all.len() == channels) && !is_whole_numbers(&self.list[0], found.layer);
         is_usable.then_some(Planes { file: found.file, layer: found.layer, channels: all })
     }
@@ -239,7 +236,7 @@ impl Files {
                 let is_copy = self.rule(id).is_some_and(|rule| rule.is_copy);
                 is_light || is_copy || self.meaning(id).is_none() && may_be_light(self.layer(id))
             }
-            Aovs::Named(names) => names.iter().any(|name| is_named(name, &self.layer(id).name)),
+            Aovs::Named(_) => aovs_name(aovs, &self.layer(id).name),
         }
     }
 
@@ -278,8 +275,8 @@ impl Files {
     /// calls a light may have a single channel of any name.
     fn light_channels(&self, id: LayerId) -> Option<Vec<usize>> {
         let layer = self.layer(id);
-        if let (Some(r), Some(g), Some(b)) = (layer.channel("R"), layer.channel("G"), layer.channel("B")) {
-            return Some(vec![r, g, b]);
+        if let Some(rgb) = layer.rgb() {
+            return Some(rgb);
         }
         let is_light = self.meaning(id).is_some_and(|meaning| meaning.role == Some(RoleName::Light));
         match (layer.channel("Y"), layer.without_alpha().as_slice()) {
